@@ -2,7 +2,7 @@
 
 Run by hand, ``python benchmarks/exact_synthesis.py``; writes ``benchmarks/exact_synthesis.csv``
 beside itself. Thirteen measurements; `numbers` is what the design must carry from one measurement
-to the next: entries of the joint law on the grid, or numbers of all simulated paths.
+to the next: entries of the joint distribution on the grid, or numbers of all simulated paths.
 """
 
 from __future__ import annotations

@@ -57,7 +57,7 @@ def shown_by(x):
 
 
 def growth(mean, cov):
-    """The system with a law of the state at its first time."""
+    """The system with a distribution of the state at its first time."""
     step = X / 2 + 25 * X / (1 + X**2) + 8 * sympy.cos(sympy.Rational(6, 5) * T) + U
     return DiscreteSystem(
         StochasticMap([X], [step], Noise([U]), time=T),

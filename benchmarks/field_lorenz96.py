@@ -92,13 +92,13 @@ SENSOR = StochasticMap.from_functions(
 )
 
 
-def lorenz96(noise=0.0, **law):
+def lorenz96(noise=0.0, **dist):
     """The system; by default from N(0, .001 I), with a variance of the noise of its model."""
-    law = law or {"mean0": np.zeros(SIZE), "cov0": 0.001 * np.eye(SIZE)}
+    dist = dist or {"mean0": np.zeros(SIZE), "cov0": 0.001 * np.eye(SIZE)}
     spread = noise * np.eye(SIZE)
     given = (Noise(SIZE, cov=spread),) if noise else ()
     move = StochasticMap.from_functions(SIZE, SIZE, flow, *given, mean=flow, cov=fixed(spread))
-    return DiscreteSystem(move, SENSOR, **law)
+    return DiscreteSystem(move, SENSOR, **dist)
 
 
 def attractor(rng, count):
@@ -110,7 +110,8 @@ def attractor(rng, count):
 
 
 def settled():
-    """The system from its law in the long run: that is where a filter for ever is designed."""
+    """The system from its distribution in the long run: that is where a filter for ever is
+    designed."""
     mean, deviation = CLIMATE
     return lorenz96(mean0=np.full(SIZE, mean), cov0=deviation**2 * np.eye(SIZE), initial=attractor)
 

@@ -8,7 +8,8 @@ its figures is used.
 - minimax residual: conditionally minimax, the dynamics as prediction and the residual;
 - minimax program: with the functions which that program has for the model, where others;
 - minimax chosen: with functions that look at the model, ours; minimax polynomial: bounded ones;
-- order 1, 2: tables of the best functions of one or two estimates; least: the law on nodes.
+- order 1, 2: tables of the best functions of one or two estimates; least: the distribution on
+nodes.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def bell(mean, deviation, x):
 
 
 def noisy(value, spread):
-    """Map of array functions with a normal law: value(x) and deviation spread(x)."""
+    """Map of array functions with a normal distribution: value(x) and deviation spread(x)."""
 
     def density(t, y, x):
         return np.log(bell(value(x)[0], spread(x)[0], y[0]))
@@ -116,7 +117,8 @@ def line(x, part):
 
 
 def averaged(t, x):
-    """The prediction of that program: lines in proportion to their own laws at the estimate."""
+    """The prediction of that program: lines in proportion to their own distributions at the
+    estimate."""
     slope, shift, spread = LINES.T[:, :, None]
     weight = WEIGHTS[:, None] * bell(shift / (1 - slope), spread / np.sqrt(1 - slope**2), x)
     return ((slope * x + shift) * weight).sum(axis=0, keepdims=True) / weight.sum(axis=0)

@@ -1,16 +1,18 @@
-"""Filters of the stochastic Van der Pol oscillator of the projection-filter paper, and its law.
+"""Filters of the stochastic Van der Pol oscillator of the projection-filter paper, and its
+distribution.
 
 Run by hand, ``python benchmarks/field_projection.py``, some minutes on one core; writes
 ``benchmarks/field_projection.csv`` beside itself. The model is that of the example of M. Emzir,
 Z. Sawlan, S. El Ferik, arXiv 2504.17324; all equations are written anew here, and no number of
 theirs is used.
 
-- least: the law on nodes of the plane, moved by the Kolmogorov equation, and its mean;
-- unseen: the law that no measurement has changed; moments: the normal law with the exact ones;
-- Kalman filters, particles, designed filters of the library, each with its normal law;
+- least: the distribution on nodes of the plane, moved by the Kolmogorov equation, and its mean;
+- unseen: the distribution that no measurement has changed; moments: the normal distribution with
+the exact ones;
+- Kalman filters, particles, designed filters of the library, each with its normal distribution;
 - projection: a filter on an exponential family, ours: powers up to the fourth, sin and sin² of
   both components, moved by the projected equation, on nodes of a box; records of which it
-  loses the law are left out of its row, whose `runs` says how many are left.
+  loses the distribution are left out of its row, whose `runs` says how many are left.
 """
 
 from __future__ import annotations
@@ -69,46 +71,47 @@ def oscillator(noise):
     )
 
 
-def first_law(values):
+def first_dist(values):
     """The mixture on nodes (2, S)."""
     parts = [np.exp(-0.5 * ((values - s * PEAK[:, None]) ** 2).sum(axis=0)) for s in (-1, 1)]
     return sum(parts) / sum(parts).sum()
 
 
-def exact_laws(chain, y, start=None):
-    """Laws after each measurement y (K, 2, N): (K, S, N); those before any with y None."""
-    law = first_law(chain.values)[:, None] if start is None else start
+def exact_dists(chain, y, start=None):
+    """Distributions after each measurement y (K, 2, N): (K, S, N); those before any with y None."""
+    dist = first_dist(chain.values)[:, None] if start is None else start
     found = []
     for k in range(1, len(TIMES)):
-        law = chain.move(law, TIMES[k - 1], TIMES[k])
+        dist = chain.move(dist, TIMES[k - 1], TIMES[k])
         if y is not None:
             seen = chain.log_likelihood(float(TIMES[k]), y[k - 1]).T
-            law = law * np.exp(seen - seen.max(axis=0))
-        law = law / law.sum(axis=0)
-        found.append(law)
+            dist = dist * np.exp(seen - seen.max(axis=0))
+        dist = dist / dist.sum(axis=0)
+        found.append(dist)
     return np.array(found)
 
 
-def moments(values, laws):
-    """Means (K, 2, N) and covariances (K, 2, 2, N) of laws (K, S, N) on nodes (2, S)."""
-    mean = np.einsum("is,ksn->kin", values, laws)
-    second = np.einsum("ps,ksn->kpn", values[[0, 0, 1]] * values[[0, 1, 1]], laws)
+def moments(values, dists):
+    """Means (K, 2, N) and covariances (K, 2, 2, N) of distributions (K, S, N) on nodes (2, S)."""
+    mean = np.einsum("is,ksn->kin", values, dists)
+    second = np.einsum("ps,ksn->kpn", values[[0, 0, 1]] * values[[0, 1, 1]], dists)
     second = second[:, [[0, 1], [1, 2]]]
     return mean, second - mean[:, :, None] * mean[:, None]
 
 
-def normal_laws(values, mean, cov):
-    """Normal laws on nodes: mean (K, 2, N), cov (K, 2, 2, N) or (K, 2, 2) give (K, S, N)."""
+def normal_dists(values, mean, cov):
+    """Normal distributions on nodes: mean (K, 2, N), cov (K, 2, 2, N) or (K, 2, 2) give (K, S,
+    N)."""
     cov = cov if cov.ndim == 4 else cov[..., None]
     a, b, c = cov[:, 0, 0], cov[:, 0, 1], cov[:, 1, 1]
     u, v = (values[:, None, :, None] - np.swapaxes(mean, 0, 1)[:, :, None]) * 1.0
     form = c[:, None] * u**2 - 2 * b[:, None] * u * v + a[:, None] * v**2
-    law = np.exp(-0.5 * form / (a * c - b**2)[:, None])
-    return law / law.sum(axis=1, keepdims=True)
+    dist = np.exp(-0.5 * form / (a * c - b**2)[:, None])
+    return dist / dist.sum(axis=1, keepdims=True)
 
 
 def hellinger(p, q):
-    """Distances (K, N) of laws (K, S, N), between 0 and 1."""
+    """Distances (K, N) of distributions (K, S, N), between 0 and 1."""
     return np.sqrt(np.maximum(1 - np.sqrt(p * q).sum(axis=1), 0))
 
 
@@ -145,14 +148,14 @@ class Projection:
         products = self.known[self.pairs[0]] * self.known[self.pairs[1]]
         self.table = np.concatenate([self.known, self.moved, products])
 
-    def law(self, theta):
-        """Laws on the nodes, (S, N), of parameters (P, N)."""
+    def dist(self, theta):
+        """Distributions on the nodes, (S, N), of parameters (P, N)."""
         log = self.known.T @ theta
-        law = np.exp(log - log.max(axis=0))
-        return law / law.sum(axis=0)
+        dist = np.exp(log - log.max(axis=0))
+        return dist / dist.sum(axis=0)
 
     def _means(self, theta):
-        found = self.table @ self.law(theta)
+        found = self.table @ self.dist(theta)
         count = len(self.known)
         mean, moved = found[:count], found[count : 2 * count]
         fisher = np.empty((count, count, theta.shape[1]))
@@ -175,7 +178,7 @@ class Projection:
 
     def start(self):
         """Parameters with the moments of the mixture, by Newton's method."""
-        target = self.known @ first_law(self.values)
+        target = self.known @ first_dist(self.values)
         theta = np.zeros((len(self.known), 1))
         theta[[2, 4]] = -0.25 * self.scale[[2, 4]]
         for _ in range(500):
@@ -183,7 +186,7 @@ class Projection:
             change = np.linalg.solve(fisher[0], target - mean[:, 0])[:, None]
             if np.abs(target - mean[:, 0]).max() < 1e-12:
                 return theta
-            # a full step may put the law into a corner of the box: halved until the convex
+            # a full step may put the distribution into a corner of the box: halved until the convex
             # function whose minimum is sought falls
             part, now = 1.0, self._height(theta, target)
             while self._height(theta + part * change, target) > now + 1e-15 and part > 1e-9:
@@ -237,7 +240,7 @@ def kalman_filters(system):
 def seen_first(noise):
     """The oscillator from its first measurement on, which is what a design begins with."""
     chain = PlaneChain(oscillator(noise), AXES, 0.05)
-    mean, cov = moments(chain.values, exact_laws(chain, None)[:1])
+    mean, cov = moments(chain.values, exact_dists(chain, None)[:1])
 
     def at_first(rng, count):
         x, h = mixture(rng, count), TIMES[1] / 25
@@ -323,40 +326,40 @@ def rows_of(noise):
     states, y = simulated(noise, records, 1)
     chain = PlaneChain(system, AXES, 0.05)
     begin = time.process_time()
-    laws = [exact_laws(chain, y[1:, :, a : a + BLOCK]) for a in range(0, records, BLOCK)]
+    dists = [exact_dists(chain, y[1:, :, a : a + BLOCK]) for a in range(0, records, BLOCK)]
     spent = time.process_time() - begin
-    each = [moments(chain.values, part) for part in laws]
+    each = [moments(chain.values, part) for part in dists]
     best, spread = (np.concatenate(parts, axis=-1) for parts in zip(*each, strict=True))
 
     def distance(mean, cov):
-        """Of normal laws to the exact ones, block by block."""
+        """Of normal distributions to the exact ones, block by block."""
         found = []
-        for i, law in enumerate(laws):
+        for i, dist in enumerate(dists):
             part = slice(i * BLOCK, i * BLOCK + BLOCK)
             given = cov[..., part] if cov.ndim == 4 else cov
-            found.append(hellinger(law, normal_laws(chain.values, mean[..., part], given)))
+            found.append(hellinger(dist, normal_dists(chain.values, mean[..., part], given)))
         return np.concatenate(found, axis=1)
 
-    def told(name, mean, far_laws, spent, design=None):
+    def told(name, mean, far_dists, spent, design=None):
         kept = np.isfinite(mean).all(axis=(0, 1))
         runs = int(kept.sum())
         square = ((mean - states) ** 2).sum(axis=1).mean(axis=0)[kept]
         far = ((mean - best) ** 2).sum(axis=1).mean(axis=0)[kept]
         values = [v for part in (square, far) for v in (part.mean(), part.std() / runs**0.5)]
-        law = ["", "", ""]
-        if far_laws is not None:
-            whole = far_laws.mean(axis=0)[kept]
-            parts = whole.mean(), whole.std() / runs**0.5, far_laws[-1, kept].mean()
-            law = [f"{v:.5f}" for v in parts]
+        dist = ["", "", ""]
+        if far_dists is not None:
+            whole = far_dists.mean(axis=0)[kept]
+            parts = whole.mean(), whole.std() / runs**0.5, far_dists[-1, kept].mean()
+            dist = [f"{v:.5f}" for v in parts]
         cost = "" if spent is None else f"{1e6 * spent / records / 4:.3f}"
         cost = cost, "" if design is None else f"{design:.2f}"
-        return noise, name, runs, *(f"{v:.6f}" for v in values), *law, *cost
+        return noise, name, runs, *(f"{v:.6f}" for v in values), *dist, *cost
 
     yield told("least", best, np.zeros((4, records)), spent)
     yield told("moments", best, distance(best, spread), None)
-    unseen = exact_laws(chain, None)
+    unseen = exact_dists(chain, None)
     mean = np.broadcast_to(moments(chain.values, unseen)[0], best.shape)
-    yield told("unseen", mean, np.concatenate([hellinger(p, unseen) for p in laws], axis=1), None)
+    yield told("unseen", mean, np.concatenate([hellinger(p, unseen) for p in dists], axis=1), None)
     for name, filter in kalman_filters(system).items():
         filter.run(TIMES, y[..., :5])
         begin = time.process_time()
@@ -384,12 +387,12 @@ def rows_of(noise):
         [filter.run(y[1:, :, a : a + BLOCK]) for a in range(0, records, BLOCK)], axis=2
     )
     spent = time.process_time() - begin
-    found = np.array([filter.values @ filter.law(part) for part in theta])
+    found = np.array([filter.values @ filter.dist(part) for part in theta])
     fine = Projection(noise, AXES)
     far = []
-    for i, law in enumerate(laws):
+    for i, dist in enumerate(dists):
         part = theta[..., i * BLOCK : i * BLOCK + BLOCK] * (fine.scale / filter.scale)
-        far.append(hellinger(law, np.array([fine.law(p) for p in part])))
+        far.append(hellinger(dist, np.array([fine.dist(p) for p in part])))
     yield told("projection", found, np.concatenate(far, axis=1), spent, design)
 
 

@@ -82,7 +82,7 @@ SENSOR = StochasticMap(
 
 
 def reentry(mean=0.0, deviation=1.0, wander=WANDER):
-    """The system with a law of the drag parameter at the start."""
+    """The system with a distribution of the drag parameter at the start."""
     return DiscreteSystem(
         move(wander), SENSOR, [*START, mean], np.diag([1e-6] * 4 + [deviation**2])
     )
@@ -109,7 +109,7 @@ def turned(t, x, y):
 def designed(kind, deviation, paths=PATHS, times=TIMES[1:]):
     """A filter designed for a deviation of the prior of the drag parameter, from k = 1 on.
 
-    Nothing is measured at k = 0, so its first law is that of the state a step later.
+    Nothing is measured at k = 0, so its first distribution is that of the state a step later.
     """
     before = reentry(0.0 if deviation == 1 else DRAG, deviation)
     moments = Cubature().moments(before.dynamics)

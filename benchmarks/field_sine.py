@@ -9,7 +9,8 @@ the EKF/UKF toolbox (Hartikainen, Solin, Särkkä 2011); all equations are writt
   extended filter's on the same runs;
 - augmented: the unscented filter whose points carry the noises, and pass both maps;
 - Rao-Blackwell: particles of the angle, each with a Kalman filter of frequency and amplitude;
-- rows of a variance: starts drawn from the filters' own law of that variance; mean square errors
+- rows of a variance: starts drawn from the filters' own distribution of that variance; mean square
+errors
   of the signal, and what they have more than the Rao-Blackwellised particles on the same runs.
 """
 

@@ -24,7 +24,7 @@ import numpy as np
 import sympy
 
 from seedslib.base import interpolate
-from seedslib.design import JointLaw, grid_synthesis, optimal_steps, stationary
+from seedslib.design import JointDistribution, grid_synthesis, optimal_steps, stationary
 from seedslib.designed import Memory
 from seedslib.filters import GridBayesFilter, ParticleFilter
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -66,11 +66,11 @@ def volatility():
 
 def predictive(system, order):
     """Logarithm of the density of a measurement given the memory, (1, Y, memory...), and axes."""
-    law = JointLaw(system, Memory(order), np.arange(float(DESIGNED)), **TABLES[order])
-    *_, last = optimal_steps(law)
-    likely = np.exp(law.chain.log_likelihood(0.0, law.y_grid))
-    axes = law.measurement_axes + law.block_axes * order
-    found = np.maximum(likely @ last.law.T, 1e-300)
+    dist = JointDistribution(system, Memory(order), np.arange(float(DESIGNED)), **TABLES[order])
+    *_, last = optimal_steps(dist)
+    likely = np.exp(dist.chain.log_likelihood(0.0, dist.y_grid))
+    axes = dist.measurement_axes + dist.block_axes * order
+    found = np.maximum(likely @ last.dist.T, 1e-300)
     return axes, np.log(found).reshape(1, *(axis.count for axis in axes))
 
 

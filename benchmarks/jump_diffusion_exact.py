@@ -69,12 +69,12 @@ def split(values: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]
 
 def flip_errors(rule: str, l: int, sizes: tuple[int, int, int], count: int = 13) -> np.ndarray:
     """E(X - Z)² after each measurement; `rule` is "exact", "gaussian" or "linearised"."""
-    x, law, move = flip_chain(sizes[0])
+    x, dist, move = flip_chain(sizes[0])
     axis, y = np.linspace(-3, 3, sizes[1]), np.linspace(-8, 8, sizes[2])
     spread = 0.25 + 0.09 * x**2
     likely = np.exp(-0.5 * (y[:, None] - x) ** 2 / spread) / np.sqrt(2 * np.pi * spread)
     likely *= (y[1] - y[0]) * np.where(np.isin(np.arange(len(y)), [0, len(y) - 1]), 0.5, 1)[:, None]
-    joint, memory, found = law[None], np.zeros((0, 1)), []  # (cells, states), (blocks, cells)
+    joint, memory, found = dist[None], np.zeros((0, 1)), []  # (cells, states), (blocks, cells)
     for k in range(count):
         if k:
             joint = joint @ move.T

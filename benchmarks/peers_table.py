@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 class Keeper:
-    """Pytest plugin that keeps what the tests say they have held against each other."""
+    """Pytest plugin that keeps what the tests say they have compared with each other."""
 
     def __init__(self) -> None:
         self.found: dict[tuple[str, str, str], list[float]] = {}

@@ -31,7 +31,7 @@ BOX = np.array([[-1.0, -0.5], [1.0, -0.5], [1.0, 0.5], [-1.0, 0.5]])
 POWERS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 
 
-def laws(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+def dists(count: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     """Means around the hexagon, deviations 0.5 to 2, any correlation up to 0.9."""
     rng = np.random.default_rng(seed)
     s = rng.uniform(0.5, 2.0, size=(2, count))
@@ -74,7 +74,7 @@ def seconds(work, items: int, repeats: int = 5) -> float:
 
 
 def hexagon() -> list[tuple[str, str, float, float]]:
-    mean, cov = laws(PAIRS)
+    mean, cov = dists(PAIRS)
     few = 5
     peer = seconds(lambda: [by_dblquad(mean[:, k], cov[:, :, k]) for k in range(few)], few, 3)
     own = seconds(lambda: polygon(mean, cov, HEXAGON), PAIRS)
@@ -82,7 +82,7 @@ def hexagon() -> list[tuple[str, str, float, float]]:
 
 
 def rectangle() -> list[tuple[str, str, float, float]]:
-    mean, cov = laws(PAIRS)
+    mean, cov = dists(PAIRS)
     few = 200
 
     def scipy_way() -> None:
@@ -102,8 +102,8 @@ def line() -> list[tuple[str, str, float, float]]:
     upper = lower + 1.0
 
     def scipy_way() -> None:
-        law = truncnorm(lower[:1000], upper[:1000])
-        law.mean(), law.var()
+        dist = truncnorm(lower[:1000], upper[:1000])
+        dist.mean(), dist.var()
 
     peer = seconds(scipy_way, 1000, 3)
     own = seconds(lambda: interval(0.0, 1.0, lower, upper), PAIRS)

@@ -59,14 +59,14 @@ def pushed(low, high):
 def filtered(y, values, V, first, forward):
     """Sum of the logarithms of the factors, and the probability lost at each step."""
     mu, scale, level = values[0], -0.5 / V, -0.5 * np.log(2 * np.pi * V)
-    total, lost, law, before = 0.0, [], None, 0.0
+    total, lost, dist, before = 0.0, [], None, 0.0
     slope = values[3] * values[4]
     for shown in y:
-        law = first if law is None else forward(law, slope * before)
-        lost.append(1.0 - law.sum())
-        law = law * np.exp(level + scale * (shown - mu + 0.5 * V) ** 2)
-        factor = law.sum()
-        total, law, before = total + np.log(factor), law / factor, shown
+        dist = first if dist is None else forward(dist, slope * before)
+        lost.append(1.0 - dist.sum())
+        dist = dist * np.exp(level + scale * (shown - mu + 0.5 * V) ** 2)
+        factor = dist.sum()
+        total, dist, before = total + np.log(factor), dist / factor, shown
     return total, np.array(lost)
 
 
@@ -81,8 +81,8 @@ def by_nodes(y, values, count):
     start, width, _ = moved(known, values)
     first = weights * np.exp(-0.5 * ((V - start) / width) ** 2) / (width * np.sqrt(2 * np.pi))
 
-    def forward(law, shift):
-        part, found = law / (spread * np.sqrt(2 * np.pi)), np.zeros(count)
+    def forward(dist, shift):
+        part, found = dist / (spread * np.sqrt(2 * np.pi)), np.zeros(count)
         for own, low, high in blocks:
             i, j = np.searchsorted(V, (low + shift, high + shift))
             z = (V[i:j, None] - (mean[own] + shift)) / spread[own]
@@ -101,16 +101,16 @@ def by_cells(y, values, edges, clip=False):
     first = np.diff(ndtr((edges - start) / width))
     first[0] += clip * ndtr((edges[0] - start) / width)
 
-    def forward(law, shift):
+    def forward(dist, shift):
         found = np.zeros(len(middle))
         for own, low, high in blocks:
             i, j = np.searchsorted(edges, (low + shift, high + shift))
             i, j = max(i - 1, 0), min(j + 1, len(edges))
             if j - i > 1:
-                below = ndtr((edges[i:j, None] - (mean[own] + shift)) / spread[own]) @ law[own]
+                below = ndtr((edges[i:j, None] - (mean[own] + shift)) / spread[own]) @ dist[own]
                 found[i : j - 1] += np.diff(below)
         if clip:
-            found[0] += ndtr((edges[0] - mean - shift) / spread) @ law
+            found[0] += ndtr((edges[0] - mean - shift) / spread) @ dist
         return found
 
     return filtered(y, values, middle, first, forward)

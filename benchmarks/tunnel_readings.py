@@ -51,7 +51,7 @@ def matrices() -> dict[str, np.ndarray]:
     return found | {"A": TUNNEL, "exp(0.2 A)": transition, "exp(0.2 A) - I": transition - np.eye(2)}
 
 
-def laws(
+def dists(
     matrix: np.ndarray, time: str, sensors: str
 ) -> Iterator[tuple[float, float, np.ndarray, np.ndarray]]:
     """Steady ``q, r, P, C`` for each pair of intensities; none without a steady state."""
@@ -84,7 +84,7 @@ def errors(matrix: np.ndarray, weights: tuple, error_cov: np.ndarray, cov: np.nd
 def scan(name: str, time: str, sensors: str) -> list:
     """One row of the table."""
     matrix, count, hits, nearest = matrices()[name], 0, 0, (np.inf,)
-    for q, r, error_cov, cov in laws(matrix, time, sensors):
+    for q, r, error_cov, cov in dists(matrix, time, sensors):
         for weights in WEIGHTS:
             found = errors(matrix, weights, error_cov, cov)
             miss = float(np.max(np.abs(found - WANTED) / HALF_UNIT))

@@ -25,7 +25,7 @@ PAPERS = {
     "riemann": "Riemann problem",
     "jump-diffusion": "Large-order filter for jump-diffusions",
     "switching": "Large-order filter for switching systems",
-    "field": "Held against the field",
+    "field": "Compared with the field",
 }
 ORIGINS = {
     "stated": "the paper says it",

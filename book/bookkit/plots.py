@@ -43,10 +43,10 @@ FAMILIES = {
     "Gaussian sum": (OCHRE, "-.", "D"),
     "log-odds": (PLUM, "--", "D"),
     "indicator": (PLUM, ":", "v"),
-    "one-estimate filter": (BLUE, "-", "o"),
-    "two-estimate filter": (BLUE, "--", "^"),
-    "three-estimate filter": (BLUE, "-.", "v"),
-    "four-estimate filter": (BLUE, ":", "x"),
+    "order-1 filter": (BLUE, "-", "o"),
+    "order-2 filter": (BLUE, "--", "^"),
+    "order-3 filter": (BLUE, "-.", "v"),
+    "order-4 filter": (BLUE, ":", "x"),
     "estimate filter": (BLUE, "-", "o"),
 }
 """Colour, dash and marker by what a filter's name says; the first that fits, longest first."""

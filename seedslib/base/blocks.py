@@ -108,7 +108,7 @@ def in_blocks(
 
 
 class Bundle:
-    """Generators of neighbouring blocks, in the place of a `numpy.random.Generator`.
+    """Generators of neighbouring blocks, in place of a `numpy.random.Generator`.
 
     Parameters
     ----------

@@ -46,7 +46,7 @@ def nearest(y: Any, expected: Any, periods: Periods) -> Any:
     y : array_like, shape (m, *batch)
         NaN stays NaN.
     expected : array_like, shape (m, *batch)
-        With more axes where one measurement is held against several expectations.
+        With more axes where one measurement is compared with several expectations.
     periods : tuple
         From `as_periods`.
     """

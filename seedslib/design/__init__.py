@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from seedslib.design.grids import grid_synthesis as grid_synthesis
     from seedslib.design.grids import optimal_risk as optimal_risk
     from seedslib.design.grids import optimal_steps as optimal_steps
-    from seedslib.design.law import GridRisk as GridRisk
-    from seedslib.design.law import JointLaw as JointLaw
+    from seedslib.design.joint import GridRisk as GridRisk
+    from seedslib.design.joint import JointDistribution as JointDistribution
     from seedslib.design.minimax import minimax_synthesis as minimax_synthesis
     from seedslib.design.paths import Executor as Executor
     from seedslib.design.plane import PlaneStep as PlaneStep

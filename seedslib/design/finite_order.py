@@ -132,7 +132,7 @@ def synthesize(
     linearization : Linearization
         How the moments of the sensor are taken.
     times : array_like, shape (K+1,)
-        Times of the measurements; the first is that of the initial law.
+        Times of the measurements; the first is that of the initial distribution.
     predictor : Affine, Polynomial or Continuous
     nodes : int
         Number of evenly spaced nodes inside each interval between measurements. `Continuous` has

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.conditioning import update
 from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
-from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, likelihood_of
+from seedslib.design.joint import BY_GRID, GridRisk, JointDistribution, conditional, likelihood_of
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter, Start
 from seedslib.designed.memory import Memory
@@ -35,8 +35,8 @@ def grid_synthesis(
 ) -> TableFilter:
     """Optimal filter of finite order by the density recursion of theorem 1.
 
-    (4.4)-(4.10) of the jump-diffusion paper: the joint law of the state and the memory moves by
-    the Kolmogorov-Feller equation and jumps at measurements, where the estimate is the
+    (4.4)-(4.10) of the jump-diffusion paper: the joint distribution of the state and the memory
+    moves by the Kolmogorov-Feller equation and jumps at measurements, where the estimate is the
     conditional mean. Estimates are remembered on the nodes of an axis; between two nodes the
     probability is split so that its mean is kept. The predicted errors are those of the filter
     with such rounding, which is an upper bound of the optimum where the axes of measurements are
@@ -53,7 +53,7 @@ def grid_synthesis(
         Of estimates or of measurements (finite memory), not of both; of as many indicators too,
         where the system has one and they are to be remembered.
     times : array_like, shape (K+1,)
-        Times of the measurements; the first is that of the initial law.
+        Times of the measurements; the first is that of the initial distribution.
     x : Axis, (low, high, count) or Nodes
         Nodes of the state; the range should hold all but a millionth of the probability. For
         a `DiscreteSystem` they may be `Nodes`, which can be dense where the dynamics are steep.
@@ -80,20 +80,20 @@ def grid_synthesis(
     UserWarning
         Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
-    law = JointLaw(system, memory, times, x, z, y)
+    dist = JointDistribution(system, memory, times, x, z, y)
     steps, changes, before = [], [], None
-    for k, optimal in enumerate(optimal_steps(law)):
+    for k, optimal in enumerate(optimal_steps(dist)):
         changes.append(_change(before, optimal))
-        steps.append(_tables(law, k, optimal))
+        steps.append(_tables(dist, k, optimal))
         before = optimal
     return TableFilter(
-        system=law.system,
-        memory=law.memory,
-        times=law.times,
+        system=dist.system,
+        memory=dist.memory,
+        times=dist.times,
         steps=tuple(steps),
         method=METHOD,
-        predicted=law.prediction(),
-        covariances=law.covariances(),
+        predicted=dist.prediction(),
+        covariances=dist.covariances(),
         design=BY_GRID,
         changes=np.array(changes).T,
     )
@@ -106,7 +106,7 @@ class Optimal(NamedTuple):
     ----------
     blocks : int
         Blocks in the memory.
-    law : ndarray, shape (cells, S)
+    dist : ndarray, shape (cells, S)
         Of the chain in each cell of the memory.
     means : ndarray, shape (1, Y, cells)
     modes : ndarray of int8, shape (Y, cells), or None
@@ -115,28 +115,29 @@ class Optimal(NamedTuple):
     """
 
     blocks: int
-    law: np.ndarray
+    dist: np.ndarray
     means: np.ndarray
     modes: MaybeArray
     mass: np.ndarray
 
 
-def optimal_steps(law: JointLaw) -> Iterator[Optimal]:
-    """The alternation of theorems 1 and 2: what is optimal at a measurement, then the joint law.
+def optimal_steps(dist: JointDistribution) -> Iterator[Optimal]:
+    """The alternation of theorems 1 and 2: what is optimal at a measurement, then the joint
+    distribution.
 
     Parameters
     ----------
-    law : JointLaw
+    dist : JointDistribution
         Of a system of either kind; it is moved on.
 
     Yields
     ------
     Optimal
     """
-    for k, _, likelihood in law.steps():
-        blocks, given = law.filled, conditional(law.joint)
-        output = law.posterior(likelihood.relative, given)
-        mass = law.take(k, output.mean, likelihood, output.mode)
+    for k, _, likelihood in dist.steps():
+        blocks, given = dist.filled, conditional(dist.joint)
+        output = dist.posterior(likelihood.relative, given)
+        mass = dist.take(k, output.mean, likelihood, output.mode)
         yield Optimal(blocks, given, *output, mass)
 
 
@@ -149,25 +150,25 @@ def _change(before, now):
     return np.sqrt(square), other
 
 
-def _tables(law, k, optimal) -> Step:
+def _tables(dist, k, optimal) -> Step:
     """Tables of a step: on the grid, with the indicator missing, with the measurement missing."""
-    given, t = optimal.law, law.times[k]
+    given, t = optimal.dist, dist.times[k]
     output = Output(optimal.means, optimal.modes)
-    axes, values = law.measurement_axes, law.chain.indicators
-    labels, memory = (Labels(values + 1),) * bool(values), law.block_axes * optimal.blocks
+    axes, values = dist.measurement_axes, dist.chain.indicators
+    labels, memory = (Labels(values + 1),) * bool(values), dist.block_axes * optimal.blocks
     if values:
-        axes, y = axes[1:], law.y_grid[1:, : len(law.weights) // values]
+        axes, y = axes[1:], dist.y_grid[1:, : len(dist.weights) // values]
         without = np.concatenate([np.full((1, y.shape[1]), -1.0), y])
-        missing = likelihood_of(law.chain.log_likelihood(t, without), law.weights[: y.shape[1]])
-        more = law.posterior(missing.relative, given)
+        missing = likelihood_of(dist.chain.log_likelihood(t, without), dist.weights[: y.shape[1]])
+        more = dist.posterior(missing.relative, given)
         output = Output(*(np.concatenate(pair, axis=-2) for pair in zip(output, more, strict=True)))
     update = Table.of(labels + axes + memory, output)
-    if law.switching:
-        forecast = law.posterior(law.chain.indicator_prob(t), given)
+    if dist.switching:
+        forecast = dist.posterior(dist.chain.indicator_prob(t), given)
         return Step(update, Table.of(labels + memory, forecast))
     if k == 0:
-        return Step(update, prior(law.system, 1))
-    return Step(update, Table.of(memory, Output(given @ law.values[0])))
+        return Step(update, prior(dist.system, 1))
+    return Step(update, Table.of(memory, Output(given @ dist.values[0])))
 
 
 def optimal_risk(
@@ -195,10 +196,10 @@ def optimal_risk(
     TypeError, ValueError
         As `grid_synthesis`.
     """
-    law = JointLaw(system, memory, times, x, z, y)
-    for _ in optimal_steps(law):
+    dist = JointDistribution(system, memory, times, x, z, y)
+    for _ in optimal_steps(dist):
         pass
-    return law.risk()
+    return dist.risk()
 
 
 def affine_synthesis(
@@ -232,54 +233,54 @@ def affine_synthesis(
         As `grid_synthesis`; something that is no linearization.
     """
     as_linearization(linearization)
-    law = JointLaw(system, memory, times, x, z, y)
+    dist = JointDistribution(system, memory, times, x, z, y)
     sensor, start, fits = linearization.moments(system.sensor), None, []
-    for k, t, likelihood in law.steps():
+    for k, t, likelihood in dist.steps():
         if k == 0:
-            start = _start(law, t)
+            start = _start(dist, t)
             mean, cov, moments = start
             mean = mean[:, None]
             moments = moments._replace(mean=moments.mean[:, None])
         else:
-            fits.append(regress(*_moments(law), 1))
-            mean, cov = fits[-1].forecast(law.memory_points)
+            fits.append(regress(*_moments(dist), 1))
+            mean, cov = fits[-1].forecast(dist.memory_points)
             moments = sensor(float(t), mean, cov, system.values())
-        law.take(k, corrected(law, mean, cov, moments), likelihood)
+        dist.take(k, corrected(dist, mean, cov, moments), likelihood)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
         system=system,
         memory=memory,
         predictor=Affine(),
         linearization=linearization,
-        times=law.times,
+        times=dist.times,
         node_times=none,
         components=1,
         start=start,
         fits=tuple(fits),
         node_fits=tuple(() for _ in fits),
-        predicted=law.prediction(),
+        predicted=dist.prediction(),
         design=BY_GRID,
     )
-    return designed, law.risk()
+    return designed, dist.risk()
 
 
-def _moments(law: JointLaw) -> tuple[np.ndarray, np.ndarray]:
+def _moments(dist: JointDistribution) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of state and memory together."""
-    points, x = law.memory_points, law.values[0]
-    mass, state = law.joint.sum(axis=1), law.joint.sum(axis=0)
+    points, x = dist.memory_points, dist.values[0]
+    mass, state = dist.joint.sum(axis=1), dist.joint.sum(axis=0)
     mean = np.concatenate([[state @ x], points @ mass])
     residual, state_residual = points - mean[1:, None], x - mean[0]
     cov = np.empty((len(mean), len(mean)))
     cov[0, 0] = state @ state_residual**2
-    cov[0, 1:] = cov[1:, 0] = residual @ (law.joint @ state_residual)
+    cov[0, 1:] = cov[1:, 0] = residual @ (dist.joint @ state_residual)
     cov[1:, 1:] = (residual * mass) @ residual.T
     return mean, cov
 
 
-def _start(law: JointLaw, t: float) -> Start:
+def _start(dist: JointDistribution, t: float) -> Start:
     """Moments of the state and the measurement before anything is remembered."""
-    state, x = law.joint.sum(axis=0), law.values
-    y, noise = law.system.sensor.conditional_moments(float(t), x, law.system.values())
+    state, x = dist.joint.sum(axis=0), dist.values
+    y, noise = dist.system.sensor.conditional_moments(float(t), x, dist.system.values())
     y = np.broadcast_to(y, (len(y), x.shape[1]))
     noise = noise if noise.ndim == 3 else noise[..., None]
     noise = np.broadcast_to(noise, (*noise.shape[:2], x.shape[1]))
@@ -290,12 +291,14 @@ def _start(law: JointLaw, t: float) -> Start:
     return Start(mean, (residual * state) @ residual.T, Moments(predicted, cross, cov))
 
 
-def corrected(law: JointLaw, mean: np.ndarray, cov: np.ndarray, moments: Moments) -> np.ndarray:
+def corrected(
+    dist: JointDistribution, mean: np.ndarray, cov: np.ndarray, moments: Moments
+) -> np.ndarray:
     """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
     # an axis for measurements before the one for cells, where there is that
     cross, cov = (a if a.ndim == 2 else np.expand_dims(a, 2) for a in moments[1:])
     moments = Moments(moments.mean[:, None], cross, cov)
-    return update(mean[:, None], None, law.y_grid[:, :, None], moments)[0]
+    return update(mean[:, None], None, dist.y_grid[:, :, None], moments)[0]
 
 
 def grid_risk(
@@ -335,36 +338,36 @@ def grid_risk(
         raise ValueError(
             "filter: wanted one whose measurements all arrive, got one with a schedule"
         )
-    law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
-    for k, _, likelihood in law.steps():
-        output = _output(filter, law, k)
-        law.take(k, output.mean, likelihood, output.mode)
-    return law.risk()
+    dist = JointDistribution(filter.system, filter.memory, filter.times, x, z, y)
+    for k, _, likelihood in dist.steps():
+        output = _output(filter, dist, k)
+        dist.take(k, output.mean, likelihood, output.mode)
+    return dist.risk()
 
 
-def _output(filter, law, k) -> Output:
+def _output(filter, dist, k) -> Output:
     """Estimates (1, Y, cells) and modes of a filter, by measurement and cell of its memory."""
-    memory, t = law.memory_points, float(law.times[k])
-    cells, shape = memory.shape[1], (law.y_grid.shape[1], memory.shape[1])
+    memory, t = dist.memory_points, float(dist.times[k])
+    cells, shape = memory.shape[1], (dist.y_grid.shape[1], memory.shape[1])
     if isinstance(filter, OutputFilter):
-        output = filter.output(k, law.y_grid[:, :, None], memory[:, None, :])
+        output = filter.output(k, dist.y_grid[:, :, None], memory[:, None, :])
         mode = None if output.mode is None else np.broadcast_to(output.mode, shape)
         return Output(np.broadcast_to(output.mean, (1, *shape)), mode)
     state = filter.initial((cells,))
     if k:
         past = recalled(filter.system, filter.memory, 1, k - 1, memory)
         parts = {"mean": memory[:1], "cov": None}
-        if law.switching:
+        if dist.switching:
             mode = past.modes[0] if past.modes else np.zeros(cells, dtype=int)
-            parts = {"time": float(law.times[k - 1]), "mode": mode}
+            parts = {"time": float(dist.times[k - 1]), "mode": mode}
         state = state._replace(index=k - 1, past=past, corrected=True, **parts)
     state = filter.predict(state, t)
-    if not law.switching:
-        return Output(corrected(law, state.mean, state.cov, filter.expect(state)))
-    means, modes, y = np.empty((1, *shape)), np.empty(shape, dtype=int), law.y_grid
+    if not dist.switching:
+        return Output(corrected(dist, state.mean, state.cov, filter.expect(state)))
+    means, modes, y = np.empty((1, *shape)), np.empty(shape, dtype=int), dist.y_grid
     for row in range(shape[0]):
         record = np.repeat(y[:, row, None], cells, axis=1)
-        indicator = record[0].astype(int) if law.chain.indicators else None
+        indicator = record[0].astype(int) if dist.chain.indicators else None
         after = filter.correct(state, record[len(y) - filter.system.measurement_size :], indicator)
         means[0, row], modes[row] = after.mean[0], after.mode
     return Output(means, modes)

@@ -52,7 +52,7 @@ def minimax_synthesis(
     memory : Memory
         Of estimates, of measurements, or of both.
     times : array_like, shape (K+1,)
-        Times of the measurements; the first is that of the initial law.
+        Times of the measurements; the first is that of the initial distribution.
     paths : int
         Paths that each regression is made on.
     seed : int, SeedSequence or Generator

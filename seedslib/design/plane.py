@@ -12,7 +12,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, as_axes, locate, mesh
-from seedslib.design.law import NEGLIGIBLE, likelihood_of, posterior_means
+from seedslib.design.joint import NEGLIGIBLE, likelihood_of, posterior_means
 from seedslib.filters.weights import most_probable
 
 FAINT = 1e-7
@@ -28,8 +28,8 @@ class PlaneStep(NamedTuple):
     cells : ndarray of int, shape (C,)
         Numbers of the cells of the memory that have probability: the decided mode, then the
         nodes of both axes, the last one fastest. One cell, 0, before the first measurement.
-    law : ndarray, shape (S, C)
-        Joint law of the chain and the memory before the measurement.
+    dist : ndarray, shape (S, C)
+        Joint distribution of the chain and the memory before the measurement.
     likelihood : ndarray, shape (Y, S)
         With quadrature weights; columns sum to one.
     mean : ndarray, shape (2, Y, C)
@@ -46,7 +46,7 @@ class PlaneStep(NamedTuple):
 
     time: float
     cells: np.ndarray
-    law: np.ndarray
+    dist: np.ndarray
     likelihood: np.ndarray
     mean: np.ndarray
     mode: MaybeArray
@@ -82,41 +82,43 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
     points, weights = mesh(y), np.ones(1)
     for axis in y:
         weights = np.outer(weights, axis.weights).ravel()
-    law, cells = chain.initial[:, None], np.zeros(1, dtype=np.intp)
+    dist, cells = chain.initial[:, None], np.zeros(1, dtype=np.intp)
     for k, t in enumerate(followed(times, "density recursion")):
         if k:
-            law = chain.move(law, float(times[k - 1]), float(t))
-            law /= law.sum()
+            dist = chain.move(dist, float(times[k - 1]), float(t))
+            dist /= dist.sum()
         likelihood = likelihood_of(chain.log_likelihood(float(t), points), weights).mass
-        step = _optimal(chain, float(t), cells, law, likelihood)
+        step = _optimal(chain, float(t), cells, dist, likelihood)
         yield step
-        cells, law = _remembered(chain, step, z)
+        cells, dist = _remembered(chain, step, z)
 
 
-def _optimal(chain, t, cells, law, likelihood) -> PlaneStep:
+def _optimal(chain, t, cells, dist, likelihood) -> PlaneStep:
     """Conditional means and modes, and what they cost."""
-    used = law.sum(axis=1) > FAINT * law.sum()
-    part, given, x = law[used], likelihood[:, used], chain.values[:, used]
+    used = dist.sum(axis=1) > FAINT * dist.sum()
+    part, given, x = dist[used], likelihood[:, used], chain.values[:, used]
     mass, total = given @ part, part.sum(axis=1)
     mean = posterior_means(x, part.T, given, mass)
     mse = (x**2 @ total - (mean**2 * mass).sum(axis=(1, 2))) / total.sum()
     if chain.modes == 1:
-        return PlaneStep(t, cells, law, likelihood, mean, None, mass, mse, 0.0)
+        return PlaneStep(t, cells, dist, likelihood, mean, None, mass, mse, 0.0)
     modes = np.repeat(np.arange(chain.modes), len(used) // chain.modes)[used]
     masses = np.stack([given[:, modes == i] @ part[modes == i] for i in range(chain.modes)])
     wrong = float(1.0 - masses.max(axis=0).sum() / total.sum())
     mode = most_probable(masses)
-    return PlaneStep(t, cells, law, likelihood, mean, mode, mass, mse, wrong)
+    return PlaneStep(t, cells, dist, likelihood, mean, mode, mass, mse, wrong)
 
 
 def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:
-    """Cells of the new memory that have probability, and the joint law with them, (4.10)."""
+    """Cells of the new memory that have probability, and the joint distribution with them,
+    (4.10).
+    """
     from scipy.sparse import csr_array
 
     size = axes[0].count * axes[1].count
-    memory = np.zeros((chain.modes * size, len(step.law)))
+    memory = np.zeros((chain.modes * size, len(step.dist)))
     for cell in np.flatnonzero(step.mass.sum(axis=0) > NEGLIGIBLE):
-        mass, column = step.mass[:, cell], step.law[:, cell]
+        mass, column = step.mass[:, cell], step.dist[:, cell]
         events = np.flatnonzero(mass > FAINT * mass.max())
         states = np.flatnonzero(column > FAINT * column.max())
         joint = step.likelihood[np.ix_(events, states)] * column[states]

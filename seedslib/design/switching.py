@@ -295,8 +295,8 @@ class SwitchingPass:
 
         def predict(state):
             cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
-            law = rules.predict(old, fit.forecast(cell, state.past.vector), p)
-            return state._replace(law=law, corrected=False)
+            dist = rules.predict(old, fit.forecast(cell, state.past.vector), p)
+            return state._replace(dist=dist, corrected=False)
 
         self.simulator.advance(old, t)
         self.states = self.simulator.executor(predict, self.states)

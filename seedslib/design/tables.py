@@ -51,7 +51,7 @@ def simulated_synthesis(
         Of estimates, of measurements, or of both; for a switching system of one of the two, with
         the decided modes, and of as many indicators where they are to be remembered.
     times : array_like, shape (K+1,)
-        Times of the measurements; the first is that of the initial law.
+        Times of the measurements; the first is that of the initial distribution.
     paths : int
         Paths that each function is fitted to.
     seed : int, SeedSequence or Generator

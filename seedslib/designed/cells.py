@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.designed.lemmas import ModeLaw
+from seedslib.designed.lemmas import ModeDistribution
 from seedslib.designed.memory import Memory, Past
 from seedslib.models.switching import SwitchingSystem
 
@@ -37,7 +37,7 @@ class CellFit(NamedTuple):
     offset: np.ndarray
     cov: np.ndarray
 
-    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
+    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeDistribution:
         """Mode and state given the memory: (6.32) to (6.34).
 
         Parameters
@@ -47,7 +47,7 @@ class CellFit(NamedTuple):
 
         Returns
         -------
-        ModeLaw
+        ModeDistribution
             Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
         """
         with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
@@ -67,7 +67,7 @@ class CellFit(NamedTuple):
                 component[...] = start
                 for factor, part in zip(row, z, strict=True):
                     component += factor * part
-        return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
+        return ModeDistribution(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
     @staticmethod
     def _of_cell(array, cell, z):

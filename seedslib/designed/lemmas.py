@@ -1,7 +1,7 @@
 """The steps of a filter of a switching system as pure functions: the lemmas of the paper.
 
-Layout: components first, then the mode, then (for forecasts) the parts of a mode's law, then any
-batch axes: probabilities (L, *batch), means (n, L, *batch), covariances (n, n, L, *batch).
+Layout: components first, then the mode, then (for forecasts) the parts of a mode's distribution,
+then any batch axes: probabilities (L, *batch), means (n, L, *batch), covariances (n, n, L, *batch).
 Probabilities are carried as logarithms, so that none underflows.
 """
 
@@ -27,7 +27,7 @@ FAINT = 1e-200
 """A sum of weights below this part of the largest weight is formed again by itself."""
 
 
-class ModeLaw(NamedTuple):
+class ModeDistribution(NamedTuple):
     """Distribution of mode and state: of each mode its probability and the moments of the state.
 
     Forecasts have one more axis after the modes: the Gaussian parts within a mode, (6.19).
@@ -44,7 +44,7 @@ class ModeLaw(NamedTuple):
     cov: np.ndarray
 
     @classmethod
-    def of(cls, prob: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> ModeLaw:
+    def of(cls, prob: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> ModeDistribution:
         """From the probabilities themselves."""
         return cls(logarithm(prob), mean, cov)
 
@@ -77,7 +77,9 @@ class Sensed(NamedTuple):
         return np.exp(self.log_prob)
 
 
-def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> ModeLaw:
+def propagate(
+    rows: Sequence[Callable[..., Any]], t: float, dist: ModeDistribution
+) -> ModeDistribution:
     """Forecast of mode and state: lemmas 4 and 6, (6.35).
 
     Parameters
@@ -87,18 +89,18 @@ def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> Mod
         `Weighted` with the moments of the next state, or None where it never switches there.
     t : float
         The old time.
-    law : ModeLaw
+    dist : ModeDistribution
         Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
 
     Returns
     -------
-    ModeLaw
+    ModeDistribution
         Q (L, G, *batch), lambda (n, L, G, *batch), Psi (n, n, L, G, *batch).
     """
-    n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[1:]
-    weight, highest, infinite = relative(law.log_prob, 0)
+    n, modes, batch = len(dist.mean), len(dist.log_prob), dist.log_prob.shape[1:]
+    weight, highest, infinite = relative(dist.log_prob, 0)
     highest = np.where(infinite, 0.0, highest)
-    moments = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+    moments = [row(t, dist.mean[:, i], dist.cov[:, :, i]) for i, row in enumerate(rows)]
     parts = len(moments[0][0])
     log_prob = np.empty((modes, parts, *batch))
     mean = np.empty((n, modes, parts, *batch))
@@ -123,11 +125,11 @@ def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> Mod
         log_prob[l, g] = highest + logarithm(total)
         faint = total < FAINT
         if faint.any():
-            logs = np.stack([law.log_prob[i] + logarithm(w.mass) for i, w in sources])
+            logs = np.stack([dist.log_prob[i] + logarithm(w.mass) for i, w in sources])
             log_prob[l, g, faint], mean[:, l, g][..., faint], cov[:, :, l, g][..., faint] = (
                 mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
             )
-    return ModeLaw(log_prob, mean, cov)
+    return ModeDistribution(log_prob, mean, cov)
 
 
 def _warn_of_probability(mean: np.ndarray | float) -> None:
@@ -142,7 +144,7 @@ def _warn_of_probability(mean: np.ndarray | float) -> None:
 def sense(
     readings: Sequence[Callable[..., Weighted] | None],
     t: float,
-    law: ModeLaw,
+    dist: ModeDistribution,
     column: int | None = None,
 ) -> Sensed:
     """Moments of the measurement from the forecast: lemma 3 in its consistent form.
@@ -153,7 +155,7 @@ def sense(
         For each mode ``reading(t, mean, cov) -> Weighted``: the measurement together with the
         observed value of the indicator; None where the mode never gives that value.
     t : float
-    law : ModeLaw
+    dist : ModeDistribution
         Forecast with its parts.
     column : int, optional
         Give (6.21) as it is printed, with this part of the forecast as the one of the indicator's
@@ -163,17 +165,17 @@ def sense(
     -------
     Sensed
     """
-    n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[2:]
+    n, modes, batch = len(dist.mean), len(dist.log_prob), dist.log_prob.shape[2:]
     log_prob, joint = np.full((modes, *batch), -np.inf), {}
     for i, reading in enumerate(readings):
         if reading is None:
             continue
-        mean, cov = law.mean[:, i], law.cov[:, :, i]
+        mean, cov = dist.mean[:, i], dist.cov[:, :, i]
         weighted = reading(t, mean, cov)
-        logs = law.log_prob[i] + logarithm(weighted.mass)
+        logs = dist.log_prob[i] + logarithm(weighted.mass)
         both, covs = joined(weighted, mean.shape[1:])
         if column is not None:
-            part = ModeLaw(law.log_prob[i], mean, cov)
+            part = ModeDistribution(dist.log_prob[i], mean, cov)
             log_prob[i], *joint[i] = _printed(logs, both, covs, part, column)
         elif len(logs) == 1 and (logs > -np.inf).all():
             log_prob[i], joint[i] = logs[0], (both[:, 0], covs[:, :, 0])
@@ -233,7 +235,7 @@ def weigh(
     y: np.ndarray,
     noise: Callable[[], np.ndarray] | None = None,
     periods: Periods = (),
-) -> tuple[ModeLaw, np.ndarray]:
+) -> tuple[ModeDistribution, np.ndarray]:
     """Posterior of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters
@@ -248,7 +250,7 @@ def weigh(
 
     Returns
     -------
-    law : ModeLaw
+    dist : ModeDistribution
         P (L, *batch), rho (n, L, *batch), Upsilon (n, n, L, *batch).
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
@@ -261,15 +263,15 @@ def weigh(
     unexplained = ~np.isfinite(loglik)
     if np.any(unexplained):  # by any mode: the forecast stays
         log_prob = np.where(unexplained, normalised(sensed.log_prob, 0)[0], log_prob)
-    return ModeLaw(log_prob, mean, cov), loglik
+    return ModeDistribution(log_prob, mean, cov), loglik
 
 
-def decide(law: ModeLaw) -> tuple[np.ndarray, np.ndarray]:
+def decide(dist: ModeDistribution) -> tuple[np.ndarray, np.ndarray]:
     """Most probable mode (`most_probable`) and mean of the state: lemma 2, (6.18)."""
-    prob = law.prob
-    return most_probable(prob), (prob * law.mean).sum(axis=1)
+    prob = dist.prob
+    return most_probable(prob), (prob * dist.mean).sum(axis=1)
 
 
-def total_covariance(law: ModeLaw) -> np.ndarray:
+def total_covariance(dist: ModeDistribution) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
-    return mix(law.prob, law.mean, law.cov).cov if len(law.log_prob) > 1 else law.cov[:, :, 0]
+    return mix(dist.prob, dist.mean, dist.cov).cov if len(dist.log_prob) > 1 else dist.cov[:, :, 0]

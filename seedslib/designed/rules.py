@@ -22,7 +22,7 @@ from seedslib.designed.branches import (
     split_row,
     switch_row,
 )
-from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
+from seedslib.designed.lemmas import ModeDistribution, Sensed, decide, propagate, sense, weigh
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Linearization, Moments
@@ -44,7 +44,7 @@ class SwitchingState(NamedTuple):
         Number k of the last measurement time reached; -1 before the first.
     time : float or None
         That time.
-    law : ModeLaw
+    dist : ModeDistribution
         After `predict` the forecast Q, lambda, Psi with its parts; after `correct` the posterior
         P, rho, Upsilon.
     mean : ndarray, shape (n, *batch), or None
@@ -67,7 +67,7 @@ class SwitchingState(NamedTuple):
 
     index: int
     time: float | None
-    law: ModeLaw
+    dist: ModeDistribution
     mean: MaybeArray
     mode: MaybeArray
     past: Past
@@ -158,7 +158,7 @@ class SwitchingRules:
         if system.indicators:
             self.unlabelled = [constant_moments(s, linearization) for s in system.sensors]
 
-    def initial(self, batch: tuple[int, ...]) -> ModeLaw:
+    def initial(self, batch: tuple[int, ...]) -> ModeDistribution:
         """Mode and state before any measurement, one part for each mode."""
         parts, tail = self.system.initial, (1,) * len(batch)
 
@@ -166,7 +166,7 @@ class SwitchingRules:
             values = np.stack(values, axis=-1)[..., None]
             return np.broadcast_to(values.reshape(*values.shape, *tail), (*values.shape, *batch))
 
-        return ModeLaw.of(
+        return ModeDistribution.of(
             repeated([part.probability for part in parts]),
             repeated([part.mean for part in parts]),
             repeated([part.cov for part in parts]),
@@ -177,29 +177,33 @@ class SwitchingRules:
         return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, False)
 
     @np.errstate(over="ignore", invalid="ignore")  # diverged paths show as NaN
-    def predict(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
+    def predict(self, t: float, dist: ModeDistribution, p: Values = ()) -> ModeDistribution:
         """Forecast for the next time from the posterior at time t."""
-        return propagate(with_numbers(self.rows, p), t, self.switched(t, law, p))
+        return propagate(with_numbers(self.rows, p), t, self.switched(t, dist, p))
 
-    def switched(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
+    def switched(self, t: float, dist: ModeDistribution, p: Values = ()) -> ModeDistribution:
         """Mode and state after the switch at time t and before the move.
 
         The mixing of the interacting multiple model filter, where the new mode drives the step;
-        `law` itself where the old mode does, for then `rows` do both at once.
+        `dist` itself where the old mode does, for then `rows` do both at once.
         """
         if self.switch is None:
-            return law
-        log_prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
+            return dist
+        log_prob, mean, cov = propagate(with_numbers(self.switch, p), t, dist)
         cov = cov[:, :, :, 0]
-        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
+        return ModeDistribution(
+            log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov
+        )
 
-    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
+    def sense(
+        self, t: float, dist: ModeDistribution, indicator: np.ndarray | None, p: Values = ()
+    ) -> Sensed:
         """Mode and state given the indicator, and moments of the measurement.
 
         Parameters
         ----------
         t : float
-        law : ModeLaw
+        dist : ModeDistribution
             A forecast, with parts.
         indicator : ndarray of int, shape (*batch), or None
             -1 where it is missing.
@@ -207,16 +211,18 @@ class SwitchingRules:
             Numbers of the parameters.
         """
         if indicator is None:
-            return self._sense(t, law, 0, p)
+            return self._sense(t, dist, 0, p)
         values = np.unique(indicator)
         if len(values) <= 1:
-            return self._sense(t, law, int(values[0]) if len(values) else 0, p)
+            return self._sense(t, dist, int(values[0]) if len(values) else 0, p)
         batch, arrays = indicator.shape, []
-        flat = ModeLaw(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
+        flat = ModeDistribution(
+            *(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in dist)
+        )
         for j in values:
             paths = np.flatnonzero(indicator.ravel() == j)
-            law = ModeLaw(*(part[..., paths] for part in flat))
-            piece = self._sense(t, law, int(j), of_paths(p, batch, paths))
+            dist = ModeDistribution(*(part[..., paths] for part in flat))
+            piece = self._sense(t, dist, int(j), of_paths(p, batch, paths))
             parts = (*piece[:3], *piece.moments)
             arrays = arrays or [np.empty((*part.shape[:-1], indicator.size)) for part in parts]
             for array, part in zip(arrays, parts, strict=True):
@@ -224,17 +230,17 @@ class SwitchingRules:
         arrays = [part.reshape(*part.shape[:-1], *batch) for part in arrays]
         return Sensed(*arrays[:3], Moments(*arrays[3:]))
 
-    def _sense(self, t, law, j, p):
+    def _sense(self, t, dist, j, p):
         """As `sense`, of one value of the indicator for all paths."""
         if j < 0:
-            return sense(with_numbers(self.unlabelled, p), t, law)
+            return sense(with_numbers(self.unlabelled, p), t, dist)
         if not any(row[j] for row in self.readings):  # a value that no mode ever gives
-            sensed = sense(with_numbers(self.unlabelled, p), t, law)
+            sensed = sense(with_numbers(self.unlabelled, p), t, dist)
             return sensed._replace(log_prob=np.full_like(sensed.log_prob, -np.inf))
         readings = [row[j] for row in self.readings]
         # the part of the forecast that (6.21) divides by, where the printed form is wanted
-        column = j if self.printed and law.log_prob.shape[1] > 1 else None
-        return sense(with_numbers(readings, p), t, law, column)
+        column = j if self.printed and dist.log_prob.shape[1] > 1 else None
+        return sense(with_numbers(readings, p), t, dist, column)
 
     def _noise(self, t, sensed, p):
         """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
@@ -257,11 +263,11 @@ class SwitchingRules:
         p: Values = (),
     ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
-        forecast, repaired = state.law, state.repaired
+        forecast, repaired = state.dist, state.repaired
         if self.guarded:
             cov, count = nearest_psd(forecast.cov)
             scaled = forecast.log_prob - np.log(forecast.prob.sum(axis=(0, 1)))
-            forecast = ModeLaw(scaled, forecast.mean, cov)
+            forecast = ModeDistribution(scaled, forecast.mean, cov)
             repaired += count
         sensed = self.sense(state.time, forecast, indicator, p)
         impossible = (sensed.log_prob == -np.inf).all(axis=0)
@@ -275,17 +281,17 @@ class SwitchingRules:
         elif self.guarded:
             sensed, count = _semidefinite(sensed)
             repaired += count
-        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
+        dist, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, count = nearest_psd(law.cov, variances(sensed.cov))
-        law = law._replace(cov=cov)
-        mode, mean = decide(law)
+        cov, count = nearest_psd(dist.cov, variances(sensed.cov))
+        dist = dist._replace(cov=cov)
+        mode, mean = decide(dist)
         past = state.past
         if memory is not None:
-            past = _pushed(memory, past, mean, mode, y, indicator, law, sensed)
+            past = _pushed(memory, past, mean, mode, y, indicator, dist, sensed)
         return state._replace(
-            law=law,
+            dist=dist,
             mean=mean,
             mode=mode,
             past=past,
@@ -308,7 +314,7 @@ def with_numbers(rows: Sequence[MomentFunction | None], p: Values) -> list[Any]:
     return [row and partial(row, p=p) for row in rows]
 
 
-def _pushed(memory, past, mean, mode, y, indicator, law, sensed) -> Past:
+def _pushed(memory, past, mean, mode, y, indicator, dist, sensed) -> Past:
     """The memory with a step more; a missing measurement is remembered as what was expected."""
     missing = np.isnan(y)
     if memory.measurements and missing.any():
@@ -317,7 +323,7 @@ def _pushed(memory, past, mean, mode, y, indicator, law, sensed) -> Past:
         y = np.where(missing, (weight * sensed.moments.mean).sum(axis=1), y)
     if memory.indicators and (indicator < 0).any():
         raise ValueError("indicator: wanted by the memory, got a missing one")
-    odds = log_odds(law.log_prob) if memory.log_odds else None
+    odds = log_odds(dist.log_prob) if memory.log_odds else None
     return memory.push(
         past, estimate=mean, measurement=y, mode=mode, indicator=indicator, log_odds=odds
     )

@@ -18,7 +18,7 @@ from seedslib.designed.accuracy import Accuracy, Design, page
 from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
 from seedslib.designed.between import Interval
 from seedslib.designed.cells import cell_number, require_memory
-from seedslib.designed.lemmas import ModeLaw, total_covariance
+from seedslib.designed.lemmas import ModeDistribution, total_covariance
 from seedslib.designed.memory import Memory
 from seedslib.designed.program import DesignedProgram
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
@@ -52,7 +52,7 @@ class SwitchingFilter(DesignedFilter):
         Times of the design.
     fits : sequence of CellFit, length K
         Mode and state given the memory after each measurement but the last. Anything with
-        ``forecast(cell, z) -> ModeLaw`` will do.
+        ``forecast(cell, z) -> ModeDistribution`` will do.
     normalisation : {"consistent", "printed"}
         How the moments of a measurement are formed where the indicator depends on the state: from
         the moments of the mixture, or as (6.21) is printed, which is wrong there.
@@ -150,21 +150,21 @@ class SwitchingFilter(DesignedFilter):
         """See `DesignedFilter.propagate`."""
         if state.index < 0:
             return state._replace(index=0, time=t)
-        law = self.rules.predict(state.time, self.posterior(state), p)
+        dist = self.rules.predict(state.time, self.posterior(state), p)
         return state._replace(
             index=state.index + 1,
             time=t,
-            law=law,
+            dist=dist,
             mean=None,
             mode=None,
             loglik=0.0,
             corrected=False,
         )
 
-    def posterior(self, state: SwitchingState) -> ModeLaw:
+    def posterior(self, state: SwitchingState) -> ModeDistribution:
         """Mode and state after a correction, given the memory alone where there is one."""
         if self.memory is None:
-            return state.law
+            return state.dist
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
         return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
@@ -182,23 +182,23 @@ class SwitchingFilter(DesignedFilter):
 
     def batch_of(self, state: SwitchingState) -> tuple[int, ...]:
         """Batch axes of a forecast."""
-        return state.law.log_prob.shape[2:]
+        return state.dist.log_prob.shape[2:]
 
     def without_claims(self, state: SwitchingState, before: Any, gap: Any) -> SwitchingState:
         """See `DesignedFilter.without_claims`."""
-        law = state.law._replace(cov=nan_where(gap, state.law.cov))
-        return state._replace(law=law, loglik=np.where(before, np.nan, state.loglik), gap=gap)
+        dist = state.dist._replace(cov=nan_where(gap, state.dist.cov))
+        return state._replace(dist=dist, loglik=np.where(before, np.nan, state.loglik), gap=gap)
 
     def report(self, state: SwitchingState, covariance: bool = True) -> Estimates:
         """What is estimated after a correction."""
-        cov = total_covariance(state.law) if covariance else None
-        return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
+        cov = total_covariance(state.dist) if covariance else None
+        return Estimates(state.mean, cov, state.dist.prob, state.loglik, modes=state.mode)
 
     def predictive(self, state: SwitchingState, p: Values) -> tuple[np.ndarray, np.ndarray]:
         """See `Filter.predictive`: moments of the mixture over modes, whatever the indicator."""
         batch = self.batch_of(state)
         unknown = np.full(batch, -1) if self.system.indicators else None
-        sensed = self.rules.sense(state.time, state.law, unknown, p)
+        sensed = self.rules.sense(state.time, state.dist, unknown, p)
         prob, (mean, _, cov) = np.exp(normalised(sensed.log_prob, 0)[0]), sensed.moments
         central = np.take_along_axis(mean, most_probable(prob)[None, None], axis=1)
         mixed = mix(prob, nearest(mean, central, self.rules.periods), cov)
@@ -208,8 +208,8 @@ class SwitchingFilter(DesignedFilter):
         self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
     ) -> Estimates:
         """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
-        law = self.predict(state, t, inputs=inputs).law
-        parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
+        dist = self.predict(state, t, inputs=inputs).dist
+        parts, batch = (dist.prob, dist.mean, dist.cov), dist.prob.shape[2:]
         mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
         prob = parts[0].sum(axis=1)
         cov = nan_where(state.gap, mixed.cov)
@@ -228,14 +228,14 @@ class SwitchingFilter(DesignedFilter):
         started = state.index >= 0
         if self.memory is None and started:
             first_step(state, t, self.system)
-        return state.corrected == started and state.law.log_prob.ndim == 2 - started
+        return state.corrected == started and state.dist.log_prob.ndim == 2 - started
 
     def numbers_of(self, state: SwitchingState) -> dict[str, Any]:
         """See `Filter.numbers_of`."""
         if self.memory is not None:
             return super().numbers_of(state)
         started = state.index >= 0
-        log_prob, mean, cov = state.law if started else (part[..., 0] for part in state.law)
+        log_prob, mean, cov = state.dist if started else (part[..., 0] for part in state.dist)
         moments = np.concatenate([mean, cov[lower_triangle(len(mean))]]).T
         time = {"t": state.time if started else 0.0, "started": started}
         return time | {"carried_log_prob": log_prob, "carried_moments": moments}
@@ -255,7 +255,7 @@ class SwitchingFilter(DesignedFilter):
         return SwitchingState(
             index,
             t,
-            ModeLaw(parts["carried_log_prob"], moments[:n], cov),
+            ModeDistribution(parts["carried_log_prob"], moments[:n], cov),
             parts["mean"],
             np.intp(parts["mode"]),
             past,
@@ -267,11 +267,13 @@ class SwitchingFilter(DesignedFilter):
         )
 
     def __repr__(self) -> str:
-        carried = "laws of all modes" if self.memory is None else str(self.memory)
+        carried = "distributions of all modes" if self.memory is None else str(self.memory)
         return f"<SwitchingFilter: {carried}; {self.linearization}>"
 
     def __str__(self) -> str:
-        carried = "carries the laws of all modes" if self.memory is None else f"of {self.memory}"
+        carried = (
+            "carries the distributions of all modes" if self.memory is None else f"of {self.memory}"
+        )
         return page(
             self,
             f"Filter of {self.system.modes} modes, {carried}; {self.linearization}",

@@ -206,7 +206,7 @@ def _merged(a: _Sums, b: _Sums) -> _Sums:
 
 @dataclass(frozen=True)
 class _Scoring:
-    """Filters held against the truth on one block of paths after the other; see `compare`."""
+    """Filters compared with the truth on one block of paths after the other; see `compare`."""
 
     filters: Mapping[str, Any]
     mask: np.ndarray

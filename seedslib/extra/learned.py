@@ -117,7 +117,7 @@ def learn(
     system : JumpDiffusion or DiscreteSystem
     memory : Memory
     times : array_like, shape (K+1,)
-        Times of the measurements; the first is that of the initial law.
+        Times of the measurements; the first is that of the initial distribution.
     paths : int
         Paths that each function is fitted to.
     seed : int, SeedSequence or Generator

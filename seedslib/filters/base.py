@@ -275,7 +275,7 @@ def walk(
     seed : object
         Of a filter that draws.
     predict : callable, optional
-        ``predict(state, t, inputs=...)`` in the place of the filter's own.
+        ``predict(state, t, inputs=...)`` in place of the filter's own.
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}

@@ -99,7 +99,7 @@ class SensorUpdate:
         p : tuple
             Numbers of the parameters.
         moments : Moments, optional
-            Those of a branch of the sensor, in the place of the whole one's.
+            Those of a branch of the sensor, in place of the whole one's.
         """
         if moments is None:
             moments = self.moments(t, mean, cov, p)

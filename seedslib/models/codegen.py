@@ -58,7 +58,7 @@ class SincRatio(sympy.Function):
 
 
 def with_ratios(expression: Any) -> Any:
-    """The same expression with `SincRatio` in the place of SymPy's sinc."""
+    """The same expression with `SincRatio` in place of SymPy's sinc."""
     if not expression.has(sympy.sinc):
         return expression
     return expression.replace(sympy.sinc, lambda x: SincRatio(0, x))
@@ -82,7 +82,7 @@ MODULES = [OWN, "scipy", "numpy"]
 
 
 class _Printer(SciPyPrinter):
-    """NumPy code with all digits of its numbers, and with products in the place of powers."""
+    """NumPy code with all digits of its numbers, and with products in place of powers."""
 
     def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))

@@ -560,7 +560,7 @@ class Hybrid(Parametrized):
         self.mean0: np.ndarray = np.append(
             likely.mean, float(np.argmax(system.initial_probabilities))
         )
-        self.initial_laws: list[tuple[np.ndarray, np.ndarray]] = [
+        self.initial_dists: list[tuple[np.ndarray, np.ndarray]] = [
             (part.mean, cholesky(part.cov)) for part in system.initial
         ]
 
@@ -574,7 +574,7 @@ class Hybrid(Parametrized):
         mode = mode if modes is None else modes
         noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
-        for i, (mean, root) in enumerate(self.initial_laws):
+        for i, (mean, root) in enumerate(self.initial_dists):
             mask = mode == i
             x[:-1, mask] = mean[:, None] + lower_times(root, noise[:, mask])
         x[-1] = mode

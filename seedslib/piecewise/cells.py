@@ -3,7 +3,7 @@
 A partition is made of the intervals of a line or of the convex polygons into which lines cut a
 plane. Both answer the same questions about regions, one for each branch and the branch last: the
 region before anything was measured (`whole`), its `image` under an affine map, its pieces in the
-cells (`split`), and the `moments` of a Gaussian law inside.
+cells (`split`), and the `moments` of a Gaussian distribution inside.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Intervals:
         return parent, cell, np.stack([low[parent, cell], high[parent, cell]])
 
     def moments(self, regions, branch, mean, cov) -> RegionMoments:
-        """Conditioned moments of pairs (branch, law); mean (1, F), cov (1, 1, F)."""
+        """Conditioned moments of pairs (branch, distribution); mean (1, F), cov (1, 1, F)."""
         return interval(mean[0], cov[0, 0], *regions[:, branch])
 
 
@@ -138,7 +138,7 @@ class Polygons:
         return np.array(parent, int), np.array(cell, int), pad_regions(pieces)
 
     def moments(self, regions, branch, mean, cov) -> RegionMoments:
-        """Conditioned moments of pairs (branch, law); mean (2, F), cov (2, 2, F)."""
+        """Conditioned moments of pairs (branch, distribution); mean (2, F), cov (2, 2, F)."""
         return polygon(mean, cov, regions[:, :, branch])
 
 

@@ -22,7 +22,7 @@ SINGULAR = 1e-13  # relative eigenvalue of a predicted measurement's covariance 
 
 
 class Branches(NamedTuple):
-    """Posterior law ``sum_b U_b N(v; mean_b, cov_b) [s in region_b]`` for each record.
+    """Posterior distribution ``sum_b U_b N(v; mean_b, cov_b) [s in region_b]`` for each record.
 
     A branch keeps its region in coordinates s in which it has volume: ``v = (s, x2)`` with
     ``x = shift + slope v``. Usually v is x itself; where the dynamics contract or collapse x1,
@@ -52,10 +52,10 @@ class Branches(NamedTuple):
     log_unit: np.ndarray
 
     def pieces(self, parent: np.ndarray, cell: np.ndarray, regions: np.ndarray) -> Branches:
-        """Branches with the laws of their parents on regions and in cells of their own."""
+        """Branches with the distributions of their parents on regions and in cells of their own."""
         slope, shift, mean = self.slope[..., parent], self.shift[:, parent], self.mean[:, parent]
-        law = slope, shift, mean, self.cov[:, :, parent], self.log_unit[parent]
-        return Branches(cell, regions, *law)
+        dist = slope, shift, mean, self.cov[:, :, parent], self.log_unit[parent]
+        return Branches(cell, regions, *dist)
 
 
 class PiecewiseState(NamedTuple):
@@ -93,9 +93,10 @@ class PiecewiseState(NamedTuple):
 class PiecewiseLinearFilter(Filter):
     """Posterior moments of a piecewise-linear system, exact where its structure allows it.
 
-    The posterior is a sum of Gaussian laws, each restricted to a region: a *branch*. A transition
-    keeps that form when the restricted components (the leading one or two, of which the cells
-    are made) receive no noise and depend on themselves only; noise in the others does no harm.
+    The posterior is a sum of Gaussian distributions, each restricted to a region: a *branch*. A
+    transition keeps that form when the restricted components (the leading one or two, of which the
+    cells are made) receive no noise and depend on themselves only; noise in the others does no
+    harm.
     Regions then stay (the paper's case), or move and split, and the branches multiply unless they
     are pruned. Other transitions are refused.
 
@@ -107,7 +108,7 @@ class PiecewiseLinearFilter(Filter):
     prune : float
         At every measurement the branches of smallest weight that together hold at most this share
         are dropped. With the dropped share delta, the predictive density c of the measurement and
-        the largest possible likelihood J, the total variation to the exact law is at most
+        the largest possible likelihood J, the total variation to the exact distribution is at most
         ``lost / (1 + lost)``, where ``lost <- (lost J / c + delta) / (1 - delta)``.
     """
 
@@ -124,8 +125,8 @@ class PiecewiseLinearFilter(Filter):
         mean0, cov0, cells = self.system.mean0, self.system.cov0, self.system.regions
         one, zero, size = np.eye(mean0.size)[..., None], 0.0 * mean0[:, None], cells.size
         mean = np.repeat(mean0[:, None, None], np.prod(batch, dtype=int), axis=2)
-        law = one, zero, mean, cov0[:, :, None, None], np.zeros(mean.shape[1:])
-        whole = Branches(np.zeros(1, int), cells.whole(mean0, cov0), *law)
+        dist = one, zero, mean, cov0[:, :, None, None], np.zeros(mean.shape[1:])
+        whole = Branches(np.zeros(1, int), cells.whole(mean0, cov0), *dist)
         pieces = cells.split(whole.regions, one[:size, :size], zero[:size])
         none, clean = np.zeros((1, *batch)), np.zeros(batch)
         state = PiecewiseState(None, none, none, none, clean, none, clean, clean > 0.0, whole)
@@ -138,7 +139,7 @@ class PiecewiseLinearFilter(Filter):
         ------
         ValueError
             A time before that of the state; a transition after which branches are no longer
-            Gaussian laws on regions.
+            Gaussian distributions on regions.
         """
         if stays(state, t):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))

@@ -34,8 +34,9 @@ class TwoStepPaths(NamedTuple):
 class TwoStepEstimator:
     """Optimal mean-square estimator of a nonlinear function of a linear-Gaussian state.
 
-    Step one is the Kalman-Bucy filter, which gives the law N(x̂, P) of the state; step two is the
-    mean of the function under that law (Choi, Song, Shin 2019, equations (2.1) to (2.4)).
+    Step one is the Kalman-Bucy filter, which gives the distribution N(x̂, P) of the state; step two
+    is the mean of the function under that distribution (Choi, Song, Shin 2019, equations (2.1) to
+    (2.4)).
 
     Parameters
     ----------
@@ -95,19 +96,19 @@ class TwoStepEstimator:
         TypeError, ValueError
             Wrong shapes, not finite, not a covariance, or an infinite mean of f.
         """
-        return self._mean(*self._joint_law(mean, cov))
+        return self._mean(*self._joint_dist(mean, cov))
 
     def variance(self, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
         """Conditional variance of f under N(mean, cov), (...) or (p, p, ...).
 
         Arguments and errors as `estimate`.
         """
-        return self._variance(*self._joint_law(mean, cov))
+        return self._variance(*self._joint_dist(mean, cov))
 
     def plugin(self, mean: ArrayLike) -> np.ndarray:
         """Plug-in estimate: f at the estimate of the state, (n, ...) to (...) or (p, ...)."""
         n = self.system.state_size
-        point, _ = self._joint_law(mean, np.zeros((n, n)))
+        point, _ = self._joint_dist(mean, np.zeros((n, n)))
         value = in_range("mean", lambda: self._mean.compiled.value(point))
         return value[0] if self._mean.scalar else value
 
@@ -151,8 +152,10 @@ class TwoStepEstimator:
         values = self.estimate(mean, cov), self.variance(mean, cov), self.plugin(mean)
         return TwoStepPaths(*(np.moveaxis(v, v.ndim + 1 - mean.ndim, 0) for v in values))
 
-    def _joint_law(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        """Law of what f takes: given the measurements the estimate is a constant ((2.3), (2.4))."""
+    def _joint_dist(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Distribution of what f takes: given the measurements the estimate is a constant ((2.3),
+        (2.4)).
+        """
         mean = as_real("mean", mean, (self.system.state_size, ...))
         cov = np.asarray(cov, dtype=float)
         if self.estimate_variables is None:
@@ -168,6 +171,6 @@ class TwoStepEstimator:
             if self.estimate_variables is not None:
                 estimate_cov = cov - error_cov
                 cov = np.block([[cov, estimate_cov], [estimate_cov, estimate_cov]])
-            mean, error_cov = self._joint_law(mean, error_cov)
+            mean, error_cov = self._joint_dist(mean, error_cov)
             pairs.append(self._errors(mean, cov, error_cov))
         return pairs[0]._make(map(np.stack, zip(*pairs, strict=True)))

@@ -241,7 +241,7 @@ class LinearDiffusion:
         Raises
         ------
         ValueError
-            A drift that is not Hurwitz: the state has no steady law.
+            A drift that is not Hurwitz: the state has no steady distribution.
         """
         rates = np.linalg.eigvals(self.drift).real
         if rates.max() >= 0:

@@ -87,7 +87,7 @@ def project(executed_project, tmp_path):
 
 @pytest.fixture
 def spoil():
-    """Put another text in the place of one that stands in a file."""
+    """Put another text in place of one that stands in a file."""
 
     def put(path, old, new):
         text = path.read_text()

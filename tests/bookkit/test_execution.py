@@ -94,7 +94,7 @@ def test_a_data_file_that_the_notebook_names_is_an_input(project, source, spoil)
 CODE = "if gain == 7.0:"
 
 
-FAILING = {  # what is put in the place of what, and what is said of it
+FAILING = {  # what is put in place of what, and what is said of it
     "raises": ("= 2.0", "= 7.0", "ArithmeticError: seven is out of reach"),
     "parameter": ("= 2.0", "= -2.0", "ValueError: bad parameters: gain = -2.0"),
     "dies": (CODE, f"import os; os._exit(1)\n{CODE}", "Kernel died"),

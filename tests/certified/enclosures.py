@@ -270,35 +270,35 @@ def designed(fits: list, start: list, H: list, R: list, y: list) -> Values:
     return _run(start, ahead, H, R, y)
 
 
-def _run(law: list, ahead: Callable, H: list, R: list, y: list) -> Values:
-    H, R, law, track = exact(H), exact(R), [exact(part) for part in law], []
+def _run(dist: list, ahead: Callable, H: list, R: list, y: list) -> Values:
+    H, R, dist, track = exact(H), exact(R), [exact(part) for part in dist], []
     for k, value in enumerate(exact(y)):
-        *law, loglik = _corrected(*(ahead(k, *law) if k else law), value[0], H[0], R[0, 0])
-        track.append((*law, loglik))
+        *dist, loglik = _corrected(*(ahead(k, *dist) if k else dist), value[0], H[0], R[0, 0])
+        track.append((*dist, loglik))
     return _track(track)
 
 
 def imm(chain: list, F: list, Q: list, H: list, R: list, starts: list, y: list) -> Values:
     """A run of the interacting multiple model filter: the mode changes, then moves the state."""
     chain, F, Q, H, R = (exact(part) for part in (chain, F, Q, H, R))
-    laws = [tuple(exact(part) for part in law) for law in starts]
+    dists = [tuple(exact(part) for part in dist) for dist in starts]
     track, shares = [], []
     for k, value in enumerate(exact(y)):
         if k:
             moved = []
-            for new in range(len(laws)):
-                parts = [(chain[i, new] * p, m, P) for i, (p, m, P) in enumerate(laws)]
+            for new in range(len(dists)):
+                parts = [(chain[i, new] * p, m, P) for i, (p, m, P) in enumerate(dists)]
                 mass, mean, cov = _merged(parts)
                 moved.append((mass, F[new] @ mean, F[new] @ cov @ F[new].T + Q[new]))
-            laws = moved
+            dists = moved
         likely = []
-        for p, mean, cov in laws:
-            *law, loglik = _corrected(mean, cov, value[0], H[0], R[0, 0])
-            likely.append((p * loglik.exp(), *law))
+        for p, mean, cov in dists:
+            *dist, loglik = _corrected(mean, cov, value[0], H[0], R[0, 0])
+            likely.append((p * loglik.exp(), *dist))
         total, mean, cov = _merged(likely)
-        laws = [(p / total, m, P) for p, m, P in likely]
+        dists = [(p / total, m, P) for p, m, P in likely]
         track.append((mean, cov, total.log()))
-        shares.append(laws[1][0])
+        shares.append(dists[1][0])
     return _track(track) | {"probability": (shares, [arb(1)] * len(shares))}
 
 
@@ -310,11 +310,11 @@ def _corrected(m: Any, P: Any, y: arb, h: Any, r: arb) -> tuple[Any, Any, arb]:
     return m + gain * error, P - np.outer(gain, gain) * spread, loglik
 
 
-def _merged(laws: list) -> tuple[arb, Any, Any]:
+def _merged(dists: list) -> tuple[arb, Any, Any]:
     """Mass, mean and covariance of a mixture of (mass, mean, cov)."""
-    mass = sum((p for p, *_ in laws), arb(0))
-    mean = sum(p * m for p, m, _ in laws) / mass
-    cov = sum(p * (P + np.outer(m - mean, m - mean)) for p, m, P in laws) / mass
+    mass = sum((p for p, *_ in dists), arb(0))
+    mean = sum(p * m for p, m, _ in dists) / mass
+    cov = sum(p * (P + np.outer(m - mean, m - mean)) for p, m, P in dists) / mass
     return mass, mean, cov
 
 

@@ -46,7 +46,7 @@ def modulus(mean, var, error_var):
 
 
 def maximum(mean, cov, error_cov):
-    errors = [gaussian.max_errors(*law) for law in zip(mean, cov, error_cov, strict=True)]
+    errors = [gaussian.max_errors(*dist) for dist in zip(mean, cov, error_cov, strict=True)]
     moments = gaussian.max_moments(np.transpose(mean), np.moveaxis(cov, 0, -1))
     return _functions(moments, zip(*errors, strict=True))
 

@@ -30,7 +30,7 @@ def spread(rng: np.random.Generator, scale: float = 1.0) -> list:
     return (root @ root.T + np.eye(2) * scale / 16).tolist()
 
 
-def law(rng: np.random.Generator) -> tuple[list, list, list]:
+def dist(rng: np.random.Generator) -> tuple[list, list, list]:
     """A mean, a covariance, and the covariance of an error, which is smaller."""
     error, rest = spread(rng), np.array(spread(rng))
     return dyadic(rng, -2, 2, 2), (np.array(error) + rest).tolist(), error
@@ -56,9 +56,9 @@ def cases() -> dict[str, list[dict[str, Any]]]:
     rest = dyadic(rng, 0.03, 2, 24)
     lines = {"mean": means, "error_var": error_vars}
     lines["var"] = [p + q for p, q in zip(error_vars, rest, strict=True)]
-    laws = [law(rng) for _ in range(16)]
+    dists = [dist(rng) for _ in range(16)]
     planes = {
-        name: [part[k] for part in laws] for k, name in enumerate(("mean", "cov", "error_cov"))
+        name: [part[k] for part in dists] for k, name in enumerate(("mean", "cov", "error_cov"))
     }
     power = {"drift": "-1", "noise": "1/2", "sensor_noise": "1/10"}
     energies = []

@@ -74,9 +74,9 @@ def by_loops(memory, nodes, y, z, times):
     for time in times:
         beta = likelihood(time, mode, state, y)
         new, best, mse, right = {}, {}, 0.0, 0.0
-        for (u, law), (j, b) in product(joint.items(), beta):
-            mass = law * beta[j, b]
-            for seen, same in ((j, mass), (-1, law * (beta[0, b] + beta[1, b]))):
+        for (u, dist), (j, b) in product(joint.items(), beta):
+            mass = dist * beta[j, b]
+            for seen, same in ((j, mass), (-1, dist * (beta[0, b] + beta[1, b]))):
                 if (total := same.sum()) > 1e-13:
                     prob = same[mode == 1].sum() / total
                     best[seen, b, u] = same @ state / total, int(prob > 0.5), prob, total
@@ -96,7 +96,7 @@ def by_loops(memory, nodes, y, z, times):
                 cell = (block, *u)[: memory.depth]
                 new[cell] = new.get(cell, 0.0) + share * mass
         found.append((best, mse, 1 - right))
-        joint = {u: transition(time, mode, state) @ law for u, law in new.items()}
+        joint = {u: transition(time, mode, state) @ dist for u, dist in new.items()}
     return found
 
 

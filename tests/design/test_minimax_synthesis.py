@@ -79,8 +79,8 @@ def test_fits_are_the_two_regressions_of_each_measurement(cubic, correction, pat
     np.testing.assert_allclose(made.predicted.rms[:, 0] ** 2, made.covariances[:, 0, 0])
 
 
-def test_predicted_errors_are_those_of_the_law_of_other_paths_and_of_another_program(cubic):
-    """The law of state and memory on a grid; 0.2001 of another program's 20 000 paths."""
+def test_predicted_errors_are_those_of_the_dist_of_other_paths_and_of_another_program(cubic):
+    """The distribution of state and memory on a grid; 0.2001 of another program's 20 000 paths."""
     made = minimax_synthesis(cubic, Memory(1), TIMES[:12], paths=12_000, seed=1, correction=root)
     risk = grid_risk(made, x=(-5.6, 5.6, 141), z=(-8, 8, 161), y=(-190, 190, 761))
     apart = made.predicted.rms[:, 0] - np.sqrt(risk.mse)

@@ -1,4 +1,5 @@
-"""The density recursion in the plane, against loops, the Kalman filter and forecasts of laws."""
+"""The density recursion in the plane, against loops, the Kalman filter and forecasts of
+distributions."""
 
 import numpy as np
 import pytest
@@ -33,7 +34,7 @@ def switching(modes, factor=1):
 
 
 def by_loops(chain, times, z, y):
-    """(4.4)-(4.10) written out: a dictionary from (mode, node) to the law of the chain."""
+    """(4.4)-(4.10) written out: a dictionary from (mode, node) to the distribution of the chain."""
     nodes = [np.array([a, b]) for a in z[0].nodes for b in z[1].nodes]
     values, modes = chain.values, chain.modes
     label = np.repeat(np.arange(modes), values.shape[1] // modes)
@@ -42,8 +43,8 @@ def by_loops(chain, times, z, y):
         likely = np.exp(chain.log_likelihood(time, y.nodes[None])) * y.weights[:, None]
         likely /= likely.sum(axis=0)
         square, wrong, new = 0.0, 0.0, {}
-        for law in joint.values():
-            for part in likely * law:
+        for dist in joint.values():
+            for part in likely * dist:
                 mass = part.sum()
                 if mass < 1e-14:
                     continue
@@ -65,11 +66,11 @@ def by_loops(chain, times, z, y):
         found.append((*square, wrong))
         if k + 1 < len(times):
             joint = {
-                cell: chain.move(law[:, None], times[k], times[k + 1])[:, 0]
-                for cell, law in new.items()
+                cell: chain.move(dist[:, None], times[k], times[k + 1])[:, 0]
+                for cell, dist in new.items()
             }
-            total = sum(law.sum() for law in joint.values())
-            joint = {cell: law / total for cell, law in joint.items()}
+            total = sum(dist.sum() for dist in joint.values())
+            joint = {cell: dist / total for cell, dist in joint.items()}
     return np.array(found)
 
 
@@ -87,11 +88,12 @@ def test_recursion_equals_loops_over_all_events(kind):
     assert all(isinstance(step, PlaneStep) for step in steps)
     assert [step.time for step in steps] == times
     assert (steps[-1].mode is None) == (kind == "diffusion")
-    # estimates are conditional means of the joint law, and the mass is that of the arguments
+    # estimates are conditional means of the joint distribution, and the mass is that of the
+    # arguments
     step = steps[-1]
-    mass = step.likelihood @ step.law
+    mass = step.likelihood @ step.dist
     np.testing.assert_allclose(step.mass, mass, atol=1e-6)
-    mean = np.einsum("ys,is,sc->iyc", step.likelihood, chain.values, step.law) / mass
+    mean = np.einsum("ys,is,sc->iyc", step.likelihood, chain.values, step.dist) / mass
     heavy = mass > 1e-3
     np.testing.assert_allclose(step.mean[:, heavy], mean[:, heavy], atol=1e-4)
     assert step.cells.max() < chain.modes * 12

@@ -1,4 +1,5 @@
-"""Designs of switching systems on simulated paths: laws in cells, thin cells, inputs, schedules."""
+"""Designs of switching systems on simulated paths: distributions in cells, thin cells, inputs,
+schedules."""
 
 import numpy as np
 import pytest
@@ -30,7 +31,7 @@ def system():
     )
 
 
-def law(rows):
+def dist(rows):
     """Gain, offset and covariance of the state (two rows) given the memory, by least squares."""
     known = np.vstack([rows[2:], np.ones(rows.shape[1])])
     found = np.linalg.lstsq(known.T, rows[:2].T, rcond=None)[0].T
@@ -49,7 +50,7 @@ def density(rows, z):
     ("memory", "paths"), [(Memory(1), 3000), (Memory(1, 0, 1), 1200), (Memory(0, 1, 1), 1200)]
 )
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_fits_are_the_laws_of_state_and_memory_in_the_cells_of_the_design_paths(
+def test_fits_are_the_dists_of_state_and_memory_in_the_cells_of_the_design_paths(
     system, memory, paths
 ):
     """Thin cells borrow from the modes of their cell, from their mode, and from everything."""
@@ -82,7 +83,7 @@ def test_fits_are_the_laws_of_state_and_memory_in_the_cells_of_the_design_paths(
                     if part.sum() >= least:
                         break
                 thin += part is not here
-                gain, offset, cov = law(rows[:, part])
+                gain, offset, cov = dist(rows[:, part])
                 used.append(rows[:, part])
                 np.testing.assert_allclose(fit.gain[:, :, i, c], gain, rtol=1e-4, atol=1e-5)
                 np.testing.assert_allclose(fit.offset[:, i, c], offset, rtol=1e-4, atol=1e-5)
@@ -94,7 +95,7 @@ def test_fits_are_the_laws_of_state_and_memory_in_the_cells_of_the_design_paths(
     assert (made.design.pooled, made.design.pairs) == (thin, pairs)
 
 
-def test_cells_from_moments_are_conditional_normal_laws():
+def test_cells_from_moments_are_conditional_normal_dists():
     """A mode that never comes with a cell has the moments of the others."""
     root = np.array([[1.1, 0.0, 0.0], [0.4, 0.8, 0.0], [-0.5, 0.3, 0.6]])
     mean = np.array([[[0.3], [-0.4]], [[0.1], [0.5]], [[1.2], [0.7]]])

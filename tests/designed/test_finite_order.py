@@ -234,7 +234,8 @@ def test_gaps_that_the_design_does_not_know_are_skipped_and_nothing_is_claimed_a
         assert_allclose(single.loglik, found.loglik[k, 1], rtol=1e-9, atol=1e-11)
 
 
-# Forecasts between measurements, and filters whose steps are no regression of Gaussian laws
+# Forecasts between measurements, and filters whose steps are no regression of Gaussian
+# distributions
 
 
 def literal(values, kind, now):

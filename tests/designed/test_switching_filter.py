@@ -103,15 +103,15 @@ def data(system, paths=6, gaps=True, **inputs):
     return record, shown
 
 
-def assert_laws(found, path, laws, logliks):
-    """A run against the laws of an oracle, of one record."""
-    for k, law in enumerate(laws):
-        mean, cov = merged(law)
-        assert_allclose(found.mode_prob[k, :, path], [part[0] for part in law], rtol=1e-9)
+def assert_dists(found, path, dists, logliks):
+    """A run against the distributions of an oracle, of one record."""
+    for k, dist in enumerate(dists):
+        mean, cov = merged(dist)
+        assert_allclose(found.mode_prob[k, :, path], [part[0] for part in dist], rtol=1e-9)
         assert_allclose(found.mean[k, :, path], mean, rtol=1e-9, atol=1e-10)
         if found.cov is not None:
             assert_allclose(found.cov[k, ..., path], cov, rtol=1e-8, atol=1e-10)
-        assert found.modes[k, path] == int(law[1][0] > law[0][0])
+        assert found.modes[k, path] == int(dist[1][0] > dist[0][0])
     assert_allclose(found.loglik[:, path], logliks, rtol=1e-9, atol=1e-10)
 
 
@@ -127,8 +127,8 @@ def test_run_of_a_jump_linear_system_equals_a_bank_of_kalman_filters(rule, drive
     found = filter.run(TIMES, record, **options)
     for path in range(6):
         told = None if shown is None else shown[:, path]
-        laws, _, logliks = expected.run(record[..., path], told)
-        assert_laws(found, path, laws, logliks)
+        dists, _, logliks = expected.run(record[..., path], told)
+        assert_dists(found, path, dists, logliks)
     if rule != Taylor():
         return
     alone = filter.run(
@@ -160,7 +160,7 @@ def test_steps_of_a_jump_linear_system_equal_its_run(drives):
         )
         assert_allclose(alone.mean, found.mean[..., path], rtol=1e-10)
         assert_allclose(alone.loglik, found.loglik[..., path], rtol=1e-10)
-    laws, forecasts, _ = expected.run(record[..., 4], shown[:, 4])
+    dists, forecasts, _ = expected.run(record[..., 4], shown[:, 4])
     state = filter.initial((2,))
     for k, now in enumerate(TIMES):
         if k:
@@ -176,7 +176,7 @@ def test_steps_of_a_jump_linear_system_equal_its_run(drives):
         for name in ("mean", "cov", "mode_prob", "loglik"):
             said, wanted = getattr(filter.report(state), name), getattr(found, name)[k]
             assert_allclose(said[..., [1]], wanted[..., [4]], rtol=1e-10, atol=1e-13)
-        assert state.mode[1] == int(laws[k][1][0] > laws[k][0][0])
+        assert state.mode[1] == int(dists[k][1][0] > dists[k][0][0])
         assert (state.index, state.time, state.corrected) == (k, now, True)
     assert filter.order == 2 * (1 + 2 + 3) - 1
 
@@ -185,12 +185,13 @@ MEMORIES = [Memory(1), Memory(2, 1, 1, True), Memory(0, 2, indicators=2), Memory
 
 
 def recall_of(filter, shown):
-    """The law that the memory stands for, from the arrays of the design: (6.32) to (6.34)."""
+    """The distribution that the memory stands for, from the arrays of the design: (6.32) to
+    (6.34)."""
     memory, blocks = filter.memory, []
 
-    def recall(k, law, expected, y):
-        prob = np.array([part[0] for part in law])
-        estimate = sum(part[0] * part[1] for part in law)
+    def recall(k, dist, expected, y):
+        prob = np.array([part[0] for part in dist])
+        estimate = sum(part[0] * part[1] for part in dist)
         odds = np.clip(np.log(prob[1] / prob[0]), -8, 8)
         y = np.where(np.isnan(y), expected, y)
         blocks.insert(0, (estimate, odds, y, int(prob[1] > prob[0]), shown[k]))
@@ -234,14 +235,14 @@ def test_run_with_a_memory_equals_the_corrected_steps_of_theorem_3(memory, drive
         found = filter.run(TIMES, record, indicators=shown, covariances=True)
     for path in range(6):
         recall, y = recall_of(filter, shown[:, path]), record[..., path]
-        laws, _, logliks = expected.run(
-            y, shown[:, path], lambda k, law, mean, recall=recall, y=y: recall(k, law, mean, y[k])
+        dists, _, logliks = expected.run(
+            y, shown[:, path], lambda k, dist, mean, recall=recall, y=y: recall(k, dist, mean, y[k])
         )
         gap = memory.measurements and path == 1
         logliks[2 if gap else 9 :] = np.nan
         assert np.isnan(found.cov[1 if gap else 9 :, ..., path]).all()
-        assert_laws(found._replace(cov=None), path, laws, logliks)
-        _, cov = merged(laws[-1])
+        assert_dists(found._replace(cov=None), path, dists, logliks)
+        _, cov = merged(dists[-1])
         if not gap:
             assert_allclose(found.cov[-1, ..., path], cov, rtol=1e-8, atol=1e-10)
     assert filter.order == memory.order(2, 2, 2) + memory.estimates + memory.indicators
@@ -291,7 +292,7 @@ def test_paths_with_unlike_indicators_do_not_know_each_other(batch):
             one = filter.step(one, float(k), [y[path]], told[path])
         assert_allclose(state.mean.reshape(1, 7)[:, path], one.mean, rtol=1e-11)
         assert_allclose(state.loglik.reshape(7)[path], one.loglik, rtol=1e-11, atol=1e-13)
-        assert_allclose(state.law.prob.reshape(2, 7)[:, path], one.law.prob, rtol=1e-11)
+        assert_allclose(state.dist.prob.reshape(2, 7)[:, path], one.dist.prob, rtol=1e-11)
         assert state.mode.reshape(7)[path] == one.mode
 
 
@@ -304,7 +305,7 @@ def test_indicator_that_no_mode_shows_leaves_the_forecast_and_has_no_likelihood(
     assert found.loglik[0] == -np.inf
     assert np.isfinite(found.loglik[1])
     assert_allclose(found.mean[:, 0], blind.mean[:, 0], rtol=1e-13)
-    assert_allclose(found.law.prob[:, 0], blind.law.prob[:, 0], rtol=1e-13)
+    assert_allclose(found.dist.prob[:, 0], blind.dist.prob[:, 0], rtol=1e-13)
     alone = filter.correct(filter.predict(filter.initial(), 0.0), [0.4], 2)
     assert alone.loglik == -np.inf
     assert_allclose(alone.mean, blind.mean[:, 0], rtol=1e-13)

@@ -23,7 +23,7 @@ from seedslib.linearization import (
 from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w, u = sympy.symbols("x y v w u", real=True)
-ModeLaw, Sensed = lemmas.ModeLaw, lemmas.Sensed
+ModeDistribution, Sensed = lemmas.ModeDistribution, lemmas.Sensed
 TIGHT = {"rtol": 1e-12, "atol": 1e-13}
 CLOSE = {"rtol": 1e-8, "atol": 1e-8}
 
@@ -36,15 +36,18 @@ def semidefinite(rng, n, *batch):
     return np.einsum("ia...,ja...->ij...", root, root)
 
 
-def random_law(rng, n, *shape):
+def random_dist(rng, n, *shape):
     """Modes first, then their parts and paths; probabilities over the modes add up to one."""
     prob = rng.dirichlet(np.ones(shape[0]), shape[1:])
     prob = np.moveaxis(prob, -1, 0)
-    return ModeLaw(np.log(prob), rng.normal(size=(n, *shape)), semidefinite(rng, n, *shape))
+    return ModeDistribution(
+        np.log(prob), rng.normal(size=(n, *shape)), semidefinite(rng, n, *shape)
+    )
 
 
 def branch(rng, n, m, batch, bare=False):
-    """A weighted law of a state and a value; a bare one has no axes of paths but its mass."""
+    """A weighted distribution of a state and a value; a bare one has no axes of paths but its
+    mass."""
     inner = () if bare else batch
     joint = semidefinite(rng, n + m, *inner)
     state = Gaussian(rng.normal(size=(n, *inner)), joint[:n, :n])
@@ -65,7 +68,7 @@ def together(weights, means, covs):
 def test_forecast_is_the_mixture_over_the_old_modes(batch):
     """Two parts of each mode; some switches never happen, some moments are those of all paths."""
     rng = np.random.default_rng(1)
-    before = random_law(rng, 2, 3, *batch)
+    before = random_dist(rng, 2, 3, *batch)
     made = [
         [[branch(rng, 2, 2, batch, bare=(i + l + g) % 2 == 0) for g in range(2)] for l in range(3)]
         for i in range(3)
@@ -90,7 +93,7 @@ def test_forecast_is_the_mixture_over_the_old_modes(batch):
     for l, g, *path in np.ndindex(3, 2, *batch):
         here = (..., l, g, *path)
         parts = [(i, made[i][l][g]) for i in range(3) if made[i][l][g] is not None]
-        if not parts:  # a law that nothing depends on
+        if not parts:  # a distribution that nothing depends on
             assert found.log_prob[here] == -np.inf
             assert_array_equal(found.mean[here], 0.0)
             assert_array_equal(found.cov[here], np.eye(2))
@@ -107,7 +110,7 @@ def test_forecast_weights_that_are_too_small_for_numbers():
     """The new mode 1 is reached from modes that one of two paths has almost left."""
     rng = np.random.default_rng(2)
     logs = np.array([[0.0, -1.0], [-1000.0, -2.0], [-1001.0, -1.5]])
-    before = random_law(rng, 2, 3, 2)._replace(log_prob=logs)
+    before = random_dist(rng, 2, 3, 2)._replace(log_prob=logs)
     made = [[[branch(rng, 2, 2, (2,))], [branch(rng, 2, 2, (2,)) if i else None]] for i in range(3)]
     for i, row in enumerate(made):
         row.append([branch(rng, 2, 2, (2,))._replace(mass=np.array([0.5, 0.0])) if i > 1 else None])
@@ -132,7 +135,7 @@ def test_forecast_weights_that_are_too_small_for_numbers():
 def test_measurement_is_the_mixture_over_the_parts(batch, parts):
     """State and measurement together; a mode that cannot show it has no probability."""
     rng = np.random.default_rng(3)
-    ahead = random_law(rng, 2, 4, parts, *batch)
+    ahead = random_dist(rng, 2, 4, parts, *batch)
     made = [branch(rng, 2, 1, (parts, *batch), bare=i == 3) for i in range(4)]
     made[1] = None
     readings = [w and (lambda t, mean, cov, w=w: w) for w in made]
@@ -141,9 +144,9 @@ def test_measurement_is_the_mixture_over_the_parts(batch, parts):
         here, w = (..., i, *path), made[i]
         if w is None:
             assert found.log_prob[here] == -np.inf
-            law = found.mean, found.cov, *found.moments
+            dist = found.mean, found.cov, *found.moments
             values = np.zeros(2), np.eye(2), [0.0], np.zeros((2, 1)), [[1.0]]
-            for part, value in zip(law, values, strict=True):
+            for part, value in zip(dist, values, strict=True):
                 assert_array_equal(part[here], value)
             continue
         weights, means, covs = [], [], []
@@ -165,14 +168,15 @@ def test_measurement_is_the_mixture_over_the_parts(batch, parts):
 
 
 def test_printed_form_divides_by_the_forecast_probability():
-    """(6.21): sums over the parts, with the law of the state that the forecast has for a value."""
+    """(6.21): sums over the parts, with the distribution of the state that the forecast has for a
+    value."""
     rng, column = np.random.default_rng(4), 1
-    ahead = random_law(rng, 2, 2, 3, 2)
+    ahead = random_dist(rng, 2, 2, 3, 2)
     made = [branch(rng, 2, 1, (3, 2)) for _ in range(2)]
     ahead.log_prob[1, column, 0] = -np.inf  # which is never shown there
     found = lemmas.sense([lambda t, mean, cov, w=w: w for w in made], 0.0, ahead, column)
     assert_array_equal(found.log_prob, ahead.log_prob[:, column])
-    law = found.mean, found.cov, *found.moments
+    dist = found.mean, found.cov, *found.moments
     for i, path in np.ndindex(2, 2):
         if ahead.log_prob[i, column, path] == -np.inf:
             values = np.zeros(2), np.eye(2), [0.0], np.zeros((2, 1)), [[1.0]]
@@ -190,7 +194,7 @@ def test_printed_form_divides_by_the_forecast_probability():
                 cross - np.outer(mean, shown),
                 square - np.outer(shown, shown),
             )
-        for part, wanted in zip(law, values, strict=True):
+        for part, wanted in zip(dist, values, strict=True):
             assert_allclose(part[..., i, path], wanted, **TIGHT)
 
 
@@ -211,19 +215,19 @@ def test_mixture_from_logarithms_of_any_size():
 
 def test_decision_and_covariance_over_all_modes():
     """Equal modes: the first, where rounding is all that parts them."""
-    law = random_law(np.random.default_rng(6), 2, 3, 5)
-    prob = law.prob
+    dist = random_dist(np.random.default_rng(6), 2, 3, 5)
+    prob = dist.prob
     prob[:, 3] = [0.2, 0.4 * (1 - 1e-10), 0.4]
     prob[:, 4] = [0.2, 0.4 * (1 - 1e-8), 0.4]
-    law = ModeLaw.of(prob, law.mean, law.cov)
-    (mode, mean), cov = lemmas.decide(law), lemmas.total_covariance(law)
+    dist = ModeDistribution.of(prob, dist.mean, dist.cov)
+    (mode, mean), cov = lemmas.decide(dist), lemmas.total_covariance(dist)
     for path in range(5):
-        means, covs = law.mean[..., path].T, np.moveaxis(law.cov[..., path], -1, 0)
+        means, covs = dist.mean[..., path].T, np.moveaxis(dist.cov[..., path], -1, 0)
         wanted = mixed(prob[:, path], means, covs)
         assert_allclose(mean[:, path], wanted[0], rtol=1e-7)
         assert_allclose(cov[..., path], wanted[1], rtol=1e-7)
     assert mode.tolist() == [*prob[:, :3].argmax(axis=0), 1, 2]
-    one = ModeLaw(np.zeros((1, 5)), law.mean[:, :1], law.cov[:, :, :1])
+    one = ModeDistribution(np.zeros((1, 5)), dist.mean[:, :1], dist.cov[:, :, :1])
     assert_array_equal(lemmas.total_covariance(one), one.cov[:, :, 0])
 
 
@@ -239,11 +243,11 @@ def three_modes(n, m):
 
 
 @pytest.mark.parametrize(("n", "m"), [(1, 1), (1, 2), (2, 1)])
-def test_posterior_law_is_that_of_the_joint_density(n, m):
+def test_posterior_dist_is_that_of_the_joint_density(n, m):
     chance, means, covs, sensed = three_modes(n, m)
     seen = np.random.default_rng(7).standard_normal(m)
-    law, loglik = lemmas.weigh(sensed, seen)
-    mode, estimate = lemmas.decide(law)
+    dist, loglik = lemmas.weigh(sensed, seen)
+    mode, estimate = lemmas.decide(dist)
     evidence, first = np.empty(3), np.empty((n, 3))
     for i in range(3):
         mean, cov = means[:, i], covs[..., i]
@@ -255,9 +259,9 @@ def test_posterior_law_is_that_of_the_joint_density(n, m):
         evidence[i] = density.sum()
         first[:, i] = density @ grid / evidence[i]
         apart = grid - first[:, i]
-        assert_allclose(law.cov[:, :, i], (apart.T * density) @ apart / evidence[i], **CLOSE)
-    assert_allclose(law.prob, evidence / evidence.sum(), **CLOSE)
-    assert_allclose(law.mean, first, **CLOSE)
+        assert_allclose(dist.cov[:, :, i], (apart.T * density) @ apart / evidence[i], **CLOSE)
+    assert_allclose(dist.prob, evidence / evidence.sum(), **CLOSE)
+    assert_allclose(dist.mean, first, **CLOSE)
     assert loglik == pytest.approx(np.log(evidence.sum()), abs=1e-8)
     assert mode == evidence.argmax()
     assert_allclose(estimate, first @ evidence / evidence.sum(), **CLOSE)
@@ -267,14 +271,14 @@ def test_posterior_law_is_that_of_the_joint_density(n, m):
     assert lemmas.weigh(none, seen)[1] == -np.inf
 
 
-def test_law_given_the_memory_by_the_information_form():
+def test_dist_given_the_memory_by_the_information_form():
     """Lemma 5, (6.32) to (6.34): blocks of the inverse covariance, no Schur complement."""
     rng, n, d, modes, cells = np.random.default_rng(8), 2, 3, 3, 2
     prob = rng.dirichlet(np.ones(modes * cells)).reshape(modes, cells)
     means, covs = rng.normal(size=(n + d, modes, cells)), semidefinite(rng, n + d, modes, cells)
     fit = cells_from_moments(prob, means, covs, n, jitter=0.0)
     cell, z = rng.integers(0, cells, (7, 2)), rng.standard_normal((d, 7, 2))
-    law = fit.forecast(cell, z)
+    dist = fit.forecast(cell, z)
     for path in np.ndindex(7, 2):
         score, c = np.empty(modes), cell[path]
         for i in range(modes):
@@ -282,13 +286,13 @@ def test_law_given_the_memory_by_the_information_form():
             spread = np.linalg.inv(information[:n, :n])
             apart = z[(..., *path)] - means[n:, i, c]
             wanted = means[:n, i, c] - spread @ information[:n, n:] @ apart
-            assert_allclose(law.mean[(slice(None), i, *path)], wanted, rtol=1e-8)
-            assert_allclose(law.cov[(slice(None), slice(None), i, *path)], spread, rtol=1e-8)
+            assert_allclose(dist.mean[(slice(None), i, *path)], wanted, rtol=1e-8)
+            assert_allclose(dist.cov[(slice(None), slice(None), i, *path)], spread, rtol=1e-8)
             inner = information[n:, n:] - information[n:, :n] @ spread @ information[:n, n:]
             score[i] = np.log(prob[i, c]) + 0.5 * np.linalg.slogdet(inner)[1]
             score[i] -= 0.5 * apart @ inner @ apart
         weight = np.exp(score - score.max())
-        assert_allclose(law.prob[(..., *path)], weight / weight.sum(), rtol=1e-8)
+        assert_allclose(dist.prob[(..., *path)], weight / weight.sum(), rtol=1e-8)
 
 
 # Section 7: the linearised filter, and the guard of erratum E2
@@ -308,8 +312,10 @@ def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, me
         [(1, [0], [[1]]), (0, [0], [[1]])],
     )
     state = SwitchingFilter(system, Taylor()).initial()
-    law = state.law._replace(cov=np.full((1, 1, 2, 1), variance))
-    found = SwitchingRules(system, Taylor()).predict(0.0, ModeLaw(*(p[..., 0] for p in law)))
+    dist = state.dist._replace(cov=np.full((1, 1, 2, 1), variance))
+    found = SwitchingRules(system, Taylor()).predict(
+        0.0, ModeDistribution(*(p[..., 0] for p in dist))
+    )
     assert_allclose(found.prob[:, 0], 0.5, rtol=1e-12)
     assert_allclose(found.mean[0, :, 0], [-mean, mean], atol=1e-12)
     assert_allclose(found.cov[0, 0, :, 0], left + 1.0, rtol=1e-12)

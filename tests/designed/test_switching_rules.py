@@ -11,7 +11,7 @@ from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w = sympy.symbols("x y v w", real=True)
 t = sympy.Symbol("t")
-ModeLaw = lemmas.ModeLaw
+ModeDistribution = lemmas.ModeDistribution
 NOW = 1.5
 LEAVE = 1 / (2 + t)
 MOVES = [[0.9 * x + t + 0.3 * v], [(0.5 - t / 10) * x + 0.8 * v]]
@@ -35,11 +35,13 @@ def system(chain=None, **options):
     )
 
 
-def law(*batch):
+def dist(*batch):
     rng = np.random.default_rng(4)
     prob = rng.uniform(0.2, 0.8, batch)
     prob = np.stack([prob, 1 - prob])
-    return ModeLaw.of(prob, rng.normal(size=(1, 2, *batch)), rng.uniform(0.3, 2, (1, 1, 2, *batch)))
+    return ModeDistribution.of(
+        prob, rng.normal(size=(1, 2, *batch)), rng.uniform(0.3, 2, (1, 1, 2, *batch))
+    )
 
 
 def mixed(weights, means, variances):
@@ -49,15 +51,15 @@ def mixed(weights, means, variances):
     return weights.sum(axis=0), mean, (share * (variances + (means - mean) ** 2)).sum(axis=0)
 
 
-def parts(law):
-    return law.prob, law.mean[0], law.cov[0, 0]
+def parts(dist):
+    return dist.prob, dist.mean[0], dist.cov[0, 0]
 
 
 def test_state_that_moves_the_mode_before_the_new_mode_moves_the_state():
     """Moments of the state weighed by the chance of each switch, at its time; then the move."""
     far = x**2 / (1 + x**2) / (1 + t)
     rules = SwitchingRules(system([[1 - far, far], [0.3, 0.7]], drives="new"), GaussHermite(5))
-    before = law(3)
+    before = dist(3)
     prob, mean, var = parts(before)
     switched, found = parts(rules.switched(NOW, before)), parts(rules.predict(NOW, before))
     place = mean[0] + np.sqrt(var[0]) * NODES[:, None]
@@ -82,7 +84,7 @@ def test_forecast_is_split_by_the_indicator_that_will_be_seen(batch):
     seen = 1 / (2 + x**2)
     rules = SwitchingRules(system(indicator=[[seen, 1 - seen], [0.5, 0.5]]), GaussHermite(5))
     assert rules.split is True
-    before = law(*batch)
+    before = dist(*batch)
     found = rules.predict(NOW, before)
     assert found.log_prob.shape == (2, 2, *batch)
     for path in np.ndindex(*batch):
@@ -114,8 +116,8 @@ def test_noise_that_depends_on_the_state_and_an_indicator_of_time(rule):
     told = 0.5 / (1 + t)
     rules = SwitchingRules(system(indicator=[[told, 1 - told], [0.9, 0.1]]), rule)
     assert rules.split is False
-    before = law(3)
-    ahead = ModeLaw(*(part[..., None, :] for part in before))
+    before = dist(3)
+    ahead = ModeDistribution(*(part[..., None, :] for part in before))
     prob, mean, var = parts(before)
     chances = np.array([[0.2, 0.8, 1.0], [0.9, 0.1, 1.0]])
     noise = (1 + mean[1] / 2) ** 2 + (0 if rule == Taylor() else var[1] / 4)
@@ -126,11 +128,11 @@ def test_noise_that_depends_on_the_state_and_an_indicator_of_time(rule):
         spread = [var[0] + 0.25, 4 * var[1] + noise]
         assert_allclose(found.moments.cov[0, 0], spread, rtol=1e-12)
         assert_allclose(found.moments.cross[0, 0], [var[0], 2 * var[1]], rtol=1e-12)
-    # beside a wide law the noise of a known state is what is left
+    # beside a wide distribution the noise of a known state is what is left
     wide = ahead._replace(cov=np.full((1, 1, 2, 1, 3), 1e14))
-    state = rules.start((3,))._replace(index=0, time=NOW, law=wide)
+    state = rules.start((3,))._replace(index=0, time=NOW, dist=wide)
     y = np.array([[0.4, -1.0, 7.0]])
-    after = rules.correct(state, y, None, None).law
+    after = rules.correct(state, y, None, None).dist
     expected = 0.25, (1 + before.mean[0, 1] / 2) ** 2 / 4
     assert_allclose(after.cov[0, 0, 0], expected[0], rtol=1e-6)
     if rule == Taylor():
@@ -143,18 +145,18 @@ def test_rules_of_points_mend_probabilities_and_variances():
     rules = SwitchingRules(system(), GaussHermite(3))
     state = rules.start((3,))._replace(index=0, time=0.0)
     whole = rules.correct(state, record, None, None)
-    scaled = state.law.log_prob + np.array([0.5, -0.7, 0.2])
+    scaled = state.dist.log_prob + np.array([0.5, -0.7, 0.2])
     found = rules.correct(
-        state._replace(law=state.law._replace(log_prob=scaled)), record, None, None
+        state._replace(dist=state.dist._replace(log_prob=scaled)), record, None, None
     )
-    assert_allclose(found.law.prob, whole.law.prob, rtol=1e-12)
+    assert_allclose(found.dist.prob, whole.dist.prob, rtol=1e-12)
     assert_allclose(found.loglik, whole.loglik, atol=1e-12)
     assert found.repaired == whole.repaired == 0
-    bad, tiny = state.law.cov.copy(), state.law.cov.copy()
+    bad, tiny = state.dist.cov.copy(), state.dist.cov.copy()
     bad[0, 0, 1, 0, 0], tiny[0, 0, 1, 0, 0] = -0.2, 1e-14
     found, wanted = (
         rules.correct(
-            state._replace(law=state.law._replace(cov=cov), repaired=5), record, None, None
+            state._replace(dist=state.dist._replace(cov=cov), repaired=5), record, None, None
         )
         for cov in (bad, tiny)
     )

@@ -217,7 +217,8 @@ def test_a_likelihood_of_random_numbers_is_called_rough():
 
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_parameter_of_the_first_state_is_fitted(whole):
-    """A stationary start of an autoregression, by formulas or a function, and its dense law."""
+    """A stationary start of an autoregression, by formulas or a function, and its dense
+    distribution."""
     phi = Parameter("phi", 0.5)
     formulas = KalmanFilter(LinearSystem(phi, 1, 1, 0.3, 0, 1 / (1 - phi**2)))
 

@@ -96,7 +96,8 @@ def functions():
 
 
 def kicked(inputs=False):
-    """A driven oscillator in continuous time that is kicked, the oftener the farther it is out."""
+    """A driven oscillator in continuous time that is kicked, the more often the farther it is
+    out."""
     push, bias = (FORCE, BIAS) if inputs else (sympy.cos(2 * t), 0)
     drift, diffusion = [b, push - a - a**3 / 5 - b * t / 9], [[0.2, 0.1 * t], [0, 0.3 + a**2 / 9]]
     shown = [a + t * b / 9 + w[0] + bias, a * b / 3 + b + w[1]]

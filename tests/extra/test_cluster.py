@@ -65,11 +65,11 @@ def functions(mark="none", parent=0):
 
 
 def bounded():
-    """Jumps, an initial law by a closure, and paths that run away."""
+    """Jumps, an initial distribution by a closure, and paths that run away."""
     x, z, v = sympy.symbols("x z v")
     jumps = {"intensity": sympy.Rational(1, 2), "jump": [z], "marks": Noise((z,), cov=[[0.01]])}
-    law = {"initial": lambda rng, count: rng.standard_normal((1, count)) * 0.3, **jumps}
-    return JumpDiffusion((x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], **law)
+    dist = {"initial": lambda rng, count: rng.standard_normal((1, count)) * 0.3, **jumps}
+    return JumpDiffusion((x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], **dist)
 
 
 PLAIN = {"paths": 17_000, "seed": 5}
@@ -114,12 +114,12 @@ def test_an_error_of_the_work_comes_home_and_leaves_the_cluster_fit():
     """With the worker in this process."""
 
     def sampler(rng, count):
-        raise ArithmeticError("no such law")
+        raise ArithmeticError("no such distribution")
 
     x, v = sympy.symbols("x v")
     system = JumpDiffusion((x,), [-x], [[1]], [x + v], Noise((v,)), [0], [[1]], initial=sampler)
     for workers in running(1, False):
-        with pytest.raises(ArithmeticError, match="no such law"):
+        with pytest.raises(ArithmeticError, match="no such distribution"):
             synthesize(system, Memory(1), Taylor(), TIMES, workers=workers, **BASE)
         assert numbers(plain(workers=workers)) == numbers(plain())
 

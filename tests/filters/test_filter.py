@@ -47,12 +47,13 @@ SHORT_INDICATORS = np.array([0, -1, 1, 0])
 
 
 class Case(NamedTuple):
-    """A filter, its record, and the exact law of the state at k given what is known until last."""
+    """A filter, its record, and the exact distribution of the state at k given what is known until
+    last."""
 
     filter: Any
     times: np.ndarray
     y: np.ndarray
-    law: Any
+    dist: Any
     logliks: np.ndarray
     inputs: dict
     options: dict
@@ -82,21 +83,21 @@ def known_mode_case(drives):
 
 def regression_case(filter, model, times, **options):
     y, exact = record(model)[1], Regression(model)
-    law = partial(exact.estimate, y)
-    return Case(filter, times, y, law, exact.logliks(y), INPUTS, options)
+    dist = partial(exact.estimate, y)
+    return Case(filter, times, y, dist, exact.logliks(y), INPUTS, options)
 
 
 def history_case(drives):
     y, model = record(linear_numbers())[1][SHORT], switching_numbers()
 
-    def law(k, last):
+    def dist(k, last):
         return histories(model, y, SHORT_INDICATORS, k, last, drives)[:3]
 
     total = [histories(model, y, SHORT_INDICATORS, k, k, drives).loglik for k in range(4)]
     filter = RaoBlackwellFilter(switching_system(drives), 81)
     inputs = {u: values[:4] for u, values in INPUTS.items()}
     options = {"indicators": SHORT_INDICATORS}
-    return Case(filter, TIMES[:4], y, law, np.diff(total, prepend=0.0), inputs, options)
+    return Case(filter, TIMES[:4], y, dist, np.diff(total, prepend=0.0), inputs, options)
 
 
 CASES = {
@@ -127,39 +128,39 @@ def case(request):
     return CASES[request.param]()
 
 
-def close(estimates, law, index=...):
+def close(estimates, dist, index=...):
     """Mean, covariance and, where there are modes that are guessed, their probabilities."""
-    np.testing.assert_allclose(estimates.mean[index], law[0], rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(estimates.cov[index], law[1], rtol=1e-10, atol=1e-12)
-    if len(law) == 3:
-        np.testing.assert_allclose(estimates.mode_prob[index], law[2], rtol=1e-11)
+    np.testing.assert_allclose(estimates.mean[index], dist[0], rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(estimates.cov[index], dist[1], rtol=1e-10, atol=1e-12)
+    if len(dist) == 3:
+        np.testing.assert_allclose(estimates.mode_prob[index], dist[2], rtol=1e-11)
 
 
-def test_run_equals_the_exact_law(case):
+def test_run_equals_the_exact_dist(case):
     estimates = case.filter.run(case.times, case.y, inputs=case.inputs, **case.options)
     for k in range(len(case.times)):
-        close(estimates, case.law(k, k), k)
+        close(estimates, case.dist(k, k), k)
     np.testing.assert_allclose(estimates.loglik, case.logliks, rtol=1e-10, atol=1e-12)
     assert not estimates.diverged
 
 
-def test_steps_and_forecasts_equal_the_exact_law(case):
+def test_steps_and_forecasts_equal_the_exact_dist(case):
     """The inputs that act in a forecast are those of the time it leaves."""
     state = case.filter.initial(**case.told(0)[1])
     for k, t in enumerate(case.times):
         shown, mode = case.told(k)
         ahead = case.filter.forecast(state, t, **mode, inputs=case.inputs_at(max(k - 1, 0)))
         state = case.filter.predict(state, t, *mode.values(), inputs=case.inputs_at(max(k - 1, 0)))
-        close(ahead, case.law(k, k - 1) if k else case.law(0, -1))
+        close(ahead, case.dist(k, k - 1) if k else case.dist(0, -1))
         assert ahead.loglik is None
         assert ahead.diverged is None
         state = case.filter.correct(state, case.y[k], *shown, inputs=case.inputs_at(k))
         estimate = case.filter.report(state)
-        close(estimate, case.law(k, k))
+        close(estimate, case.dist(k, k))
         np.testing.assert_allclose(estimate.loglik, case.logliks[k], rtol=1e-10, atol=1e-12)
 
 
-def test_two_forecasts_in_a_row_equal_the_exact_law(case):
+def test_two_forecasts_in_a_row_equal_the_exact_dist(case):
     state = case.filter.initial(**case.told(0)[1])
     for k in range(2):
         shown, mode = case.told(k)
@@ -170,7 +171,7 @@ def test_two_forecasts_in_a_row_equal_the_exact_law(case):
     )
     close(
         case.filter.forecast(state, case.times[3], **case.told(3)[1], inputs=case.inputs_at(2)),
-        case.law(3, 1),
+        case.dist(3, 1),
     )
     with pytest.raises(ValueError, match=r"^t: "):
         case.filter.predict(state, case.times[1], inputs=case.inputs_at(2))

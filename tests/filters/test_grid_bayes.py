@@ -81,10 +81,10 @@ def systems():
 SWITCHING, MODES, ALONE, LINEAR = systems()
 
 
-def close(estimates, law, k=...):
-    np.testing.assert_allclose(estimates.mean[k], law.mean, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(estimates.cov[k], law.cov, rtol=1e-7, atol=1e-7)
-    np.testing.assert_allclose(estimates.mode_prob[k], law.mode_prob, rtol=1e-7)
+def close(estimates, dist, k=...):
+    np.testing.assert_allclose(estimates.mean[k], dist.mean, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(estimates.cov[k], dist.cov, rtol=1e-7, atol=1e-7)
+    np.testing.assert_allclose(estimates.mode_prob[k], dist.mode_prob, rtol=1e-7)
 
 
 def test_modes_on_nodes_equal_the_sum_over_histories():
@@ -115,7 +115,7 @@ def test_modes_on_nodes_equal_the_sum_over_histories():
 
 
 @pytest.mark.parametrize("nodes", [NODES, "uneven"])
-def test_one_law_on_nodes_equals_regression(nodes):
+def test_one_dist_on_nodes_equals_regression(nodes):
     if nodes == "uneven":
         s = np.linspace(-1.2, 1.2, 161)
         nodes = Nodes(6 * np.sinh(s), 6 * np.cosh(s) * (s[1] - s[0]))
@@ -127,12 +127,12 @@ def test_one_law_on_nodes_equals_regression(nodes):
         estimates = filter.run(TIMES, y, inputs={u: PUSH})
     smoothed = smooth(filter, TIMES, y, inputs={u: PUSH})
     for i in range(2):
-        for part, law in (
+        for part, dist in (
             (estimates, exact.filtered(y[..., i])),
             (smoothed, exact.smoothed(y[..., i])),
         ):
-            np.testing.assert_allclose(part.mean[..., i], law[0], atol=1e-7)
-            np.testing.assert_allclose(part.cov[..., i], law[1], atol=1e-7)
+            np.testing.assert_allclose(part.mean[..., i], dist[0], atol=1e-7)
+            np.testing.assert_allclose(part.cov[..., i], dist[1], atol=1e-7)
         np.testing.assert_allclose(estimates.loglik[:, i], exact.logliks(y[..., i]), atol=1e-7)
     assert estimates.mode_prob is None
     assert estimates.modes is None
@@ -162,17 +162,17 @@ def test_growth_model_equals_literal_sums_over_nodes():
     system, times = growth(), 2 + np.arange(4.0)
     y = system.simulate(times, 1, 4).measurements[..., 0]
     nodes = np.linspace(-36, 36, 289)
-    law, total = norm.pdf(nodes, 0.5, np.sqrt(2.0)), 0.0
+    dist, total = norm.pdf(nodes, 0.5, np.sqrt(2.0)), 0.0
     estimates = GridBayesFilter(system, (-36, 36, 289)).run(times, y)
     for k in range(4):
         if k:
             moved = nodes / 2 + 25 * nodes / (1 + nodes**2) + 8 * np.cos(1.2 * times[k - 1])
-            law = 0.25 * norm.pdf(nodes[:, None], moved, np.sqrt(10)) @ law
-        law = law * norm.pdf(y[k, 0], nodes**2 / 20, 1.0) * (1 if k else 0.25)
-        total, law = np.log(law.sum()), law / law.sum()
-        mean = law @ nodes
+            dist = 0.25 * norm.pdf(nodes[:, None], moved, np.sqrt(10)) @ dist
+        dist = dist * norm.pdf(y[k, 0], nodes**2 / 20, 1.0) * (1 if k else 0.25)
+        total, dist = np.log(dist.sum()), dist / dist.sum()
+        mean = dist @ nodes
         assert estimates.mean[k, 0] == pytest.approx(mean, rel=1e-9, abs=1e-9)
-        assert estimates.cov[k, 0, 0] == pytest.approx(law @ (nodes - mean) ** 2, rel=1e-9)
+        assert estimates.cov[k, 0, 0] == pytest.approx(dist @ (nodes - mean) ** 2, rel=1e-9)
         assert estimates.loglik[k] == pytest.approx(total, rel=1e-9)
 
 
@@ -236,7 +236,8 @@ def test_measurement_that_leaves_the_nodes_is_marked_for_good(modes):
 
 
 def test_probability_that_leaves_the_nodes_is_dropped_and_warned_about():
-    """Of a normal law cut off at two deviations; a switching system keeps it on the nodes."""
+    """Of a normal distribution cut off at two deviations; a switching system keeps it on the
+    nodes."""
     still = StochasticMap([x], [x + v], Noise([v], cov=[[0.25]]))
     sensor = StochasticMap([x], [x + w], Noise([w]))
     missing = [[np.nan], [np.nan]]
@@ -306,7 +307,7 @@ def test_mode_returns_from_any_log_odds():
 
 @pytest.mark.parametrize("push", [-1e-15, 0.0, 1e-15])
 def test_equal_modes_are_decided_for_the_first(push):
-    """Two modes in which everything is the same but a last bit of the initial law."""
+    """Two modes in which everything is the same but a last bit of the initial distribution."""
     system = SwitchingSystem(
         (x,),
         [[x / 2 + v]] * 2,

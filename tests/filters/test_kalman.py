@@ -41,7 +41,8 @@ def test_last_and_first_level_of_the_nile():
 
 
 def least_squares(model, y, k, last, diffuse=DIFFUSE):
-    """Law of x_k and the diffuse log-likelihood: unknown numbers d by generalised least squares."""
+    """Distribution of x_k and the diffuse log-likelihood: unknown numbers d by generalised least
+    squares."""
     base, unit = Regression(model), np.eye(len(model.mean0))
     moved = [Regression(model._replace(mean0=model.mean0 + unit[i])) for i in diffuse]
     present, row = ~np.isnan(y[: last + 1]), base.states[k]
@@ -109,7 +110,7 @@ def test_variance_of_what_no_measurement_has_determined_is_infinite(diffuse):
 
 
 def test_wide_start_comes_close_to_the_diffuse_one(diffuse):
-    """A wide law costs half the logarithm of its variance for each unknown number."""
+    """A wide distribution costs half the logarithm of its variance for each unknown number."""
     filter, model, y = diffuse
     wide = model._replace(cov0=model.cov0 + 1e9 * np.diag([1, 0, 1]))
     estimates = filter.run(TIMES, y[..., 0], inputs=INPUTS)

@@ -72,18 +72,18 @@ def test_switch_and_indicator_that_are_seen_tell_of_the_state(drives):
         before, noise = np.repeat(NODES, 101), np.tile(PUSH, 2001)
         moved = [before / 2 + np.sin(before) + noise / 2, 0.6 * before - 1 + noise]
         moved = moved[b if drives == "new" else a]
-        if drives == "new":  # the filter moves a Gaussian law
+        if drives == "new":  # the filter moves a Gaussian distribution
             (m,), ((p,),) = moments(weight, NODES)
             weight = norm.pdf(NODES, m, np.sqrt(p))
         mean, cov = moments(np.outer(weight, norm.pdf(PUSH)), before, moved)
         assert later.mean[0, i] == pytest.approx(mean[1], rel=1e-4)
         assert later.cov[0, 0, i] == pytest.approx(cov[1, 1], rel=1e-3)
-        # the indicator weights the law of the new state
+        # the indicator weights the distribution of the new state
         m, p = later.mean[0, i], later.cov[0, 0, i]
         if shown[1, i] >= 0 and b == 0:
-            law = norm.pdf(NODES, m, np.sqrt(p))
+            dist = norm.pdf(NODES, m, np.sqrt(p))
             told = 0.5 * np.exp(-(NODES**2))
-            (m,), ((p,),) = moments(law * (told if shown[1, i] == 0 else 1 - told), NODES)
+            (m,), ((p,),) = moments(dist * (told if shown[1, i] == 0 else 1 - told), NODES)
         spread = p + (1.0, 0.25)[b]
         error = y[1, 0, i] - m - 2 * b
         assert estimates.mean[1, 0, i] == pytest.approx(m + p / spread * error, rel=1e-3)

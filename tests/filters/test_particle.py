@@ -63,17 +63,17 @@ def test_particles_of_modes_come_to_the_sum_over_histories(drives):
     filter = ParticleFilter(switching_system(drives), 3000)
     state, numbers = filter.initial((RUNS,), seed=5), switching_numbers()
     for k in range(4):
-        law = histories(numbers, y, shown, k, k - 1, drives)
+        dist = histories(numbers, y, shown, k, k - 1, drives)
         ahead = filter.forecast(
             state, TIMES[k], inputs={u: values[max(k - 1, 0)] for u, values in INPUTS.items()}
         )
         state = filter.predict(
             state, TIMES[k], inputs={u: values[max(k - 1, 0)] for u, values in INPUTS.items()}
         )
-        assert within(ahead.mean, law.mean)
-        assert within(ahead.mode_prob, law.mode_prob)
+        assert within(ahead.mean, dist.mean)
+        assert within(ahead.mode_prob, dist.mode_prob)
         assert ahead.loglik is None
-        law = histories(numbers, y, shown, k, k, drives)
+        dist = histories(numbers, y, shown, k, k, drives)
         seen = np.repeat(y[k][:, None], RUNS, axis=1)
         state = filter.correct(
             state,
@@ -82,9 +82,9 @@ def test_particles_of_modes_come_to_the_sum_over_histories(drives):
             inputs={u: values[k] for u, values in INPUTS.items()},
         )
         said = filter.report(state)
-        assert within(said.mean, law.mean)
-        assert within(said.cov, law.cov, count=5)
-        assert within(said.mode_prob, law.mode_prob)
+        assert within(said.mean, dist.mean)
+        assert within(said.cov, dist.cov, count=5)
+        assert within(said.mode_prob, dist.mode_prob)
         np.testing.assert_array_equal(said.modes, said.mode_prob.argmax(axis=0))
 
 

@@ -26,14 +26,14 @@ def test_likelihood_of_drawn_histories_is_unbiased(drives):
     estimates = filter.run(TIMES[:4], many, indicators=shown, inputs=inputs, seed=3)
     for part, factor in ((slice(0, 1500), 1.0), (slice(1500, 3000), -0.5)):
         given = {u: values * factor for u, values in INPUTS.items()}
-        law = histories(switching_numbers(TIMES, given), y, SHOWN, 3, 3, drives)
-        ratio = np.exp(estimates.loglik[:, part].sum(axis=0) - law.loglik)
+        dist = histories(switching_numbers(TIMES, given), y, SHOWN, 3, 3, drives)
+        ratio = np.exp(estimates.loglik[:, part].sum(axis=0) - dist.loglik)
         assert ratio.std() > 0.01
         assert abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(1500)
         weights = ratio / ratio.sum()
         error = 5 * np.sqrt((weights**2).sum()) * estimates.mean[3, :, part].std(axis=-1)
-        assert (np.abs(estimates.mean[3, :, part] @ weights - law.mean) < error).all()
-        assert (np.abs(estimates.mode_prob[3, :, part] @ weights - law.mode_prob) < 0.05).all()
+        assert (np.abs(estimates.mean[3, :, part] @ weights - dist.mean) < error).all()
+        assert (np.abs(estimates.mode_prob[3, :, part] @ weights - dist.mode_prob) < 0.05).all()
     assert estimates.mode_prob.sum(axis=1) == pytest.approx(1.0)
     assert not estimates.diverged.any()
 

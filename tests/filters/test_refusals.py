@@ -44,7 +44,7 @@ UNIFORM = Noise((v,), cov=[[1 / 3]], sample=lambda rng, n: rng.uniform(-1, 1, (1
 
 
 def switching(moves=x + v, shows=x + w, leave=((0.9, 0.1), (0.2, 0.8)), noise=None, **options):
-    """Two modes of one law."""
+    """Two modes of one distribution."""
     noise, sensor_noise = noise or Noise((v,)), Noise((w,))
     initial = [(0.5, [0], [[1]])] * 2
     return SwitchingSystem(

@@ -39,10 +39,10 @@ PAIRS = {
 def test_moments_of_pairs_against_sixty_digits(pair):
     """E f g - E f E g, and cov(x, f), from formulas of single means."""
     f, g = PAIRS[pair]
-    law = list(map(sympy.nsimplify, MEAN)), sympy.Matrix(COV).applyfunc(sympy.nsimplify)
+    dist = list(map(sympy.nsimplify, MEAN)), sympy.Matrix(COV).applyfunc(sympy.nsimplify)
 
     def mean(h):
-        return sympy.re(expectation(sympy.expand(h), [x, y], *law).evalf(60))
+        return sympy.re(expectation(sympy.expand(h), [x, y], *dist).evalf(60))
 
     found = moments([f, g], MEAN, COV)
     singles = [mean(f), mean(g)]
@@ -50,7 +50,7 @@ def test_moments_of_pairs_against_sixty_digits(pair):
         exact = float(mean((f, g)[i] * (f, g)[j]) - singles[i] * singles[j])
         assert found.cov[i, j] == pytest.approx(exact, rel=1e-12, abs=1e-14)
     for i, s in enumerate((x, y)):
-        exact = [float(mean((s - law[0][i]) * h)) for h in (f, g)]
+        exact = [float(mean((s - dist[0][i]) * h)) for h in (f, g)]
         assert_allclose(found.cross[i], exact, rtol=1e-12, atol=1e-14)
     assert_allclose(found.mean, [float(s) for s in singles], rtol=1e-13)
 

@@ -1,4 +1,4 @@
-"""Means of SymPy functions: formulas and numbers against quadrature and known laws."""
+"""Means of SymPy functions: formulas and numbers against quadrature and known distributions."""
 
 import mpmath as mp
 import numpy as np
@@ -7,7 +7,7 @@ import sympy as sp
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from oracles.gaussian import hermite_mean, panel_mean, random_law
+from oracles.gaussian import hermite_mean, panel_mean, random_dist
 from seedslib.gaussian import (
     NoClosedForm,
     expectation,
@@ -112,9 +112,9 @@ def test_formula_of_one_variable(f, answer):
 
 def test_polynomials_match_derivatives_of_the_generating_function():
     s, t = sp.symbols("s t")
-    law = sp.exp(s * m + t * n + (P * s**2 + 2 * Q * s * t + R * t**2) / 2)
+    dist = sp.exp(s * m + t * n + (P * s**2 + 2 * Q * s * t + R * t**2) / 2)
     for i, j in [(1, 0), (2, 1), (0, 4), (3, 2), (1, 5)]:
-        derivative = sp.diff(law, s, i, t, j).subs({s: 0, t: 0})
+        derivative = sp.diff(dist, s, i, t, j).subs({s: 0, t: 0})
         assert sp.expand(derivative - expectation(x**i * y**j, [x, y], [m, n], TWO)) == 0
     column = expectation([x, x * y], [x, y], [m, n], TWO)
     assert column == sp.Matrix([m, m * n + Q])
@@ -148,7 +148,7 @@ def test_sines_of_squares_stay_on_the_continuous_branch(size):
 
 def test_sine_of_products_of_three_variables():
     f = sp.cos(x * y + 2 * y * z - x * z)
-    mean, cov = random_law(np.random.default_rng(2), 3, 0.5)
+    mean, cov = random_dist(np.random.default_rng(2), 3, 0.5)
     exact = hermite_mean(sp.lambdify((x, y, z), f), mean, cov, 70)
     assert expectation_function(f, [x, y, z])(mean, cov) == pytest.approx(exact, abs=1e-11)
     formula = expectation(f, [x, y, z], list(mean), sp.Matrix(cov.tolist()))
@@ -157,7 +157,7 @@ def test_sine_of_products_of_three_variables():
 
 def test_planes_across_three_variables_match_simulation():
     rng = np.random.default_rng(5)
-    mean, cov = random_law(rng, 3, 0.6)
+    mean, cov = random_dist(rng, 3, 0.6)
     f = x * y * sp.Max(x - 2 * z, 1 + y) + sp.Piecewise((z, x + y < 1), (x**2, True))
     draws = mean[:, None] + np.linalg.cholesky(cov) @ rng.normal(size=(3, 400_000))
     values = sp.lambdify((x, y, z), f, "numpy")(*draws)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from oracles.gaussian import hermite_mean, random_law
+from oracles.gaussian import hermite_mean, random_dist
 from seedslib.gaussian import forms
 
 
@@ -18,9 +18,9 @@ def test_means_of_forms_match_quadrature_in_batches(n):
     rng = np.random.default_rng(n)
     A, B = rng.normal(size=(2, n, n))
     flat = rng.normal(size=(3, n))
-    laws = [random_law(rng, n) for _ in range(2)]
-    means = np.stack([mean for mean, _ in laws], axis=-1)
-    covs = np.stack([cov for _, cov in laws], axis=-1)
+    dists = [random_dist(rng, n) for _ in range(2)]
+    means = np.stack([mean for mean, _ in dists], axis=-1)
+    covs = np.stack([cov for _, cov in dists], axis=-1)
     for found, f in [
         (forms.linear_mean(flat, means, covs), lambda *x: flat[1] @ np.array(x)),
         (forms.quadratic_mean(A, means, covs), lambda *x: form(A, np.array(x))),
@@ -34,7 +34,7 @@ def test_means_of_forms_match_quadrature_in_batches(n):
         ),
     ]:
         of_row = found[1] if found.ndim == 2 else found
-        exact = [hermite_mean(f, *law, 3) for law in laws]
+        exact = [hermite_mean(f, *dist, 3) for dist in dists]
         assert_allclose(of_row, exact, rtol=1e-11, atol=1e-11)
     shared = forms.quartic_mean(A, B, means, covs[..., 0])
     assert shared[0] == pytest.approx(forms.quartic_mean(A, B, means, covs)[0], rel=1e-12)

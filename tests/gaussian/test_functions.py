@@ -46,7 +46,7 @@ def errors_by_simulation(state, optimal, plugin, found):
         assert abs(squares.mean() - exact) < 4 * squares.std() / np.sqrt(squares.size)
 
 
-def test_modulus_of_degenerate_laws_and_without_information():
+def test_modulus_of_degenerate_dists_and_without_information():
     ends = abs_moments([0.0, -2.0, 0.0, 1e9], [0.0, 0.0, 1.0, 1.0])
     assert_allclose(ends.mean, [0, 2, np.sqrt(2 / np.pi), 1e9], rtol=1e-15)
     assert_allclose(ends.var, [0, 0, 1 - 2 / np.pi, 1], rtol=1e-14)
@@ -98,10 +98,10 @@ def test_variance_of_the_maximum_of_unlike_scales():
     ],
 )
 def test_maximum_at_the_ends(mean, cov, variance):
-    for law in ((mean, cov), (mean[::-1], cov[::-1, ::-1])):
-        assert max_moments(*law).var == pytest.approx(variance, rel=1e-14)
-        assert max_errors(*law, law[1]).optimal == pytest.approx(variance, rel=1e-14)
-        assert max_errors(*law, np.zeros((2, 2))) == (0.0, 0.0)
+    for dist in ((mean, cov), (mean[::-1], cov[::-1, ::-1])):
+        assert max_moments(*dist).var == pytest.approx(variance, rel=1e-14)
+        assert max_errors(*dist, dist[1]).optimal == pytest.approx(variance, rel=1e-14)
+        assert max_errors(*dist, np.zeros((2, 2))) == (0.0, 0.0)
     assert max_moments([1.0, 2.0], np.ones((2, 2))).mean == 2.0
     assert max_moments(np.ones((2, 3, 4)), np.eye(2)).var.shape == (3, 4)
 

@@ -5,15 +5,15 @@ import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
 
-from oracles.gaussian import random_law
+from oracles.gaussian import random_dist
 from seedslib.gaussian import hermite_expansion, mean_square_errors
 
 x, y, z = sp.symbols("x y z", real=True)
 
 
 def random_case(rng, n):
-    mean, known = random_law(rng, n)
-    error_cov = 0.4 * random_law(rng, n)[1]
+    mean, known = random_dist(rng, n)
+    error_cov = 0.4 * random_dist(rng, n)[1]
     return mean, known + error_cov, error_cov
 
 
@@ -54,8 +54,8 @@ def test_linear_estimator_is_the_regression_and_ends_are_exact():
 
 @pytest.mark.parametrize("f", [sp.sin(x), sp.exp(-(x**2) / 2), [sp.erf(x), y]], ids=str)
 def test_bounds_of_smooth_functions_hold_the_error_of_nested_quadrature(f):
-    law = [0.3, 0.1], np.eye(2), 0.2 * np.eye(2)
-    expansion = hermite_expansion(f, [x, y], *law, degree=24, nodes=50)
+    dist = [0.3, 0.1], np.eye(2), 0.2 * np.eye(2)
+    expansion = hermite_expansion(f, [x, y], *dist, degree=24, nodes=50)
     grid, weights = np.polynomial.hermite_e.hermegauss(120)
     weights = weights / weights.sum()
     xhat = 0.3 + np.sqrt(0.8) * grid

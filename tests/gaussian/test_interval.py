@@ -1,4 +1,4 @@
-"""Moments of a Gaussian law over intervals, against many digits and by their sums."""
+"""Moments of a Gaussian distribution over intervals, against many digits and by their sums."""
 
 import mpmath as mp
 import numpy as np
@@ -44,7 +44,8 @@ CASES = [  # mean, variance, lower, upper
 
 
 def exact(mean, var, lower, upper):
-    """ln P, mean, variance of the conditioned law; the digits pay for the tails' cancellation."""
+    """ln P, mean, variance of the conditioned distribution; the digits pay for the tails'
+    cancellation."""
     reach = max([abs(t - mean) / np.sqrt(var) for t in (lower, upper) if np.isfinite(t)] + [1])
     with mp.workdps(80 + min(int(reach * reach / 4), 60)):
         m, v = mp.mpf(mean), mp.mpf(var)
@@ -85,7 +86,7 @@ def test_random_intervals_against_many_digits():
             assert_exact(interval(*case), case)
 
 
-def test_intervals_of_a_partition_sum_to_the_law():
+def test_intervals_of_a_partition_sum_to_the_dist():
     """Mass, first and second moment, the latter about a point."""
     rng = np.random.default_rng(1)
     edges = np.concatenate([[-INF], np.sort(rng.normal(size=30) * 3), [INF]])

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from oracles.gaussian import random_law
+from oracles.gaussian import random_dist
 from seedslib.gaussian import RegionMoments, interval, lift, polygon
 
 
-def law(size, seed):
-    mean, cov = random_law(np.random.default_rng(seed), size)
+def dist(size, seed):
+    mean, cov = random_dist(np.random.default_rng(seed), size)
     return mean, cov + 0.2 * np.eye(size)
 
 
@@ -34,7 +34,7 @@ def assert_moments(found, exact, about):
 
 def test_two_restricted_components_of_three_against_quadrature():
     """A triangle: the rest of the prism is one long axis."""
-    mean, cov = law(3, 1)
+    mean, cov = dist(3, 1)
     about = np.array([0.3, -1.0, 2.0])
     corner, a, b = np.array([-1.0, -0.5]), np.array([2.0, 0.3]), np.array([0.4, 1.8])
     u, wu = rule(26, 0.0, 1.0)
@@ -54,8 +54,8 @@ def test_two_restricted_components_of_three_against_quadrature():
     assert_moments(found, integrals(points, np.outer(plane, wr).ravel(), mean, cov, about), about)
 
 
-def test_whole_line_gives_the_law_back():
-    mean, cov = law(4, 6)
+def test_whole_line_gives_the_dist_back():
+    mean, cov = dist(4, 6)
     found = lift(interval(mean[0], cov[0, 0], -np.inf, np.inf), mean, cov)
     assert found.log_mass == 0.0
     np.testing.assert_allclose(found.mean, mean, atol=1e-14)
@@ -64,7 +64,7 @@ def test_whole_line_gives_the_law_back():
 
 def test_batch_axes_of_moments_mean_and_covariance():
     mean = np.random.default_rng(8).normal(size=(3, 4, 5))
-    _, cov = law(3, 9)
+    _, cov = dist(3, 9)
     lower = np.arange(4.0)[:, None] - 2
     part = interval(mean[0], cov[0, 0], lower, lower + 1)
     about = [1.0, 2.0, 3.0]
@@ -82,7 +82,7 @@ def test_batch_axes_of_moments_mean_and_covariance():
 
 @pytest.mark.parametrize("whose", range(3))
 def test_any_argument_may_carry_the_batch_alone(whose):
-    mean, cov = law(3, 11)
+    mean, cov = dist(3, 11)
     triangle = [[0.4, -0.7], [1.7, 0.3], [-0.6, 0.8]]
     block = polygon(mean[:2], cov[:2, :2], triangle)
     alone = lift(block, mean, cov)

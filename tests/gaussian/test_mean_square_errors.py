@@ -8,7 +8,7 @@ import sympy as sp
 from numpy.testing import assert_allclose
 from scipy import special
 
-from oracles.gaussian import hermite_grid, random_law
+from oracles.gaussian import hermite_grid, random_dist
 from seedslib.gaussian import (
     FunctionClass,
     expectation_function,
@@ -50,8 +50,8 @@ ALL = [*SMOOTH, *SWITCHED, *NORMS]
 
 def random_case(rng, n, share=0.4, scale=1.0):
     """Mean, covariance C and error covariance P <= C."""
-    mean, known = random_law(rng, n, scale)
-    _, error = random_law(rng, n, scale)
+    mean, known = random_dist(rng, n, scale)
+    _, error = random_dist(rng, n, scale)
     return mean, known + share * error, share * error
 
 
@@ -140,10 +140,10 @@ def test_fast_and_slow_parts_together():
 def test_errors_of_a_maximum_and_a_sign_are_the_closed_ones():
     error_cov = np.array([[0.5, 0.1], [0.1, 0.3]])
     cov = error_cov + np.array([[1, -0.4], [-0.4, 0.8]])
-    law = [0.3, -0.2], cov, error_cov
-    found = mean_square_errors(sp.Max(x, y), [x, y])(*law)
+    dist = [0.3, -0.2], cov, error_cov
+    found = mean_square_errors(sp.Max(x, y), [x, y])(*dist)
     assert_allclose(found, [0.384190, 0.396050], atol=1e-6)  # example 2 of the paper
-    assert_allclose(found, max_errors(*law), rtol=1e-9)
+    assert_allclose(found, max_errors(*dist), rtol=1e-9)
     for C, P in [(1.0, 0.3), (2.0, 1e-8), (1.0, 1.0)]:
         found = mean_square_errors(sp.sign(x), [x])([0.0], [[C]], [[P]])
         half = np.arctan2(np.sqrt(P / C * (2 - P / C)), 1 - P / C)
@@ -153,7 +153,7 @@ def test_errors_of_a_maximum_and_a_sign_are_the_closed_ones():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
-def test_norm_without_information_has_the_variance_of_the_chi_law(n):
+def test_norm_without_information_has_the_variance_of_the_chi_dist(n):
     symbols = sp.symbols(f"u:{n}")
     errors = mean_square_errors(sp.sqrt(sum(s**2 for s in symbols)), symbols)
     found = errors(np.zeros(n), 2 * np.eye(n), 2 * np.eye(n))
@@ -199,29 +199,29 @@ def test_norm_far_from_the_origin_is_almost_linear(size, far):
 
 @pytest.mark.parametrize("mean", [1e2, 1e5, 1e8])
 def test_errors_far_from_the_kink_are_those_of_the_polynomial_there(mean):
-    law = [mean], [[1.0]], [[0.3]]
+    dist = [mean], [[1.0]], [[0.3]]
     for f, smooth in ((abs(x), x), (x * abs(x), x**2), (sp.Max(x, 0) ** 2, x**2)):
-        errors, known = (mean_square_errors(g, [x])(*law) for g in (f, smooth))
+        errors, known = (mean_square_errors(g, [x])(*dist) for g in (f, smooth))
         assert_allclose(errors, known, rtol=max(1e-13, 1e-15 * mean))  # a rounding of the state
 
 
 def test_errors_of_both_sides_of_a_plane_at_once():
     """The smaller and the larger of x and 0 are sums of x and |x|, which have one side only."""
-    law = [0.3], [[1.2]], [[0.4]]
+    dist = [0.3], [[1.2]], [[0.4]]
     sides = np.array([[0.5, -0.5], [0.5, 0.5]])
     both = mean_square_errors([sp.Min(x, 0), sp.Max(x, 0)], [x])
     assert both.kind is FunctionClass.PIECEWISE
-    apart = mean_square_errors([x, abs(x)], [x])(*law)
-    for found, given in zip(both(*law), apart, strict=True):
+    apart = mean_square_errors([x, abs(x)], [x])(*dist)
+    for found, given in zip(both(*dist), apart, strict=True):
         assert_allclose(found, sides @ given @ sides.T, rtol=1e-9)
     # a jump: the value on the plane is that of neither side
     jump = sp.Heaviside(-x, sp.Rational(1, 4))
-    two = mean_square_errors([jump, sp.Heaviside(x, sp.Rational(3, 4))], [x])([0.0], *law[1:])
+    two = mean_square_errors([jump, sp.Heaviside(x, sp.Rational(3, 4))], [x])([0.0], *dist[1:])
     assert_allclose(two.optimal, two.optimal[0, 0] * np.array([[1, -1], [-1, 1]]), rtol=1e-9)
 
 
 @pytest.mark.parametrize("f", [sp.Integer(3), *ALL], ids=str)
-def test_errors_of_degenerate_laws(f):
+def test_errors_of_degenerate_dists(f):
     errors, variance, estimate = derived(f)
     zero = np.zeros((2, 2))
     for mean in ([0.0, 0.0], [0.3, -0.7]):

@@ -1,4 +1,4 @@
-"""Moments of Gaussian laws in the plane over polygons and unbounded regions."""
+"""Moments of Gaussian distributions in the plane over polygons and unbounded regions."""
 
 import json
 from decimal import Decimal, localcontext
@@ -15,7 +15,8 @@ KNOWN = json.loads(Path(polygon_reference.__file__).with_suffix(".json").read_te
 ABSURD = "strip", "needle", "huge", "thin", "1e-10", "1e-12", "1e-14", "1e8"
 EXTREME = {name for name in KNOWN if any(part in name for part in ABSURD)}
 EXTREME |= {f"random {k}" for k in (0, 3, 5, 6, 7, 9, 20, 21, 22, 24, 29, 30, 33)}
-"""A rounding of a vertex or of the law changes the moments in the twelfth digit or before."""
+"""A rounding of a vertex or of the distribution changes the moments in the twelfth digit or
+before."""
 
 UNIT = np.eye(2)
 TILTED = np.array([[1.0, 0.3], [0.3, 1.0]])
@@ -77,16 +78,16 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("law", LAWS)
-def test_cells_of_a_partition_of_the_plane_sum_to_the_law(law):
+@pytest.mark.parametrize("distribution", LAWS)
+def test_cells_of_a_partition_of_the_plane_sum_to_the_dist(dist):
     rng = np.random.default_rng(11)
-    cov = LAWS[law]
+    cov = LAWS[dist]
     for sectors in (3, 4, 5, 8):
         mean, about = rng.normal(size=2), np.array([0.5, -1.0])
         cells = [
             polygon(mean, cov, vertices, rays=rays) for vertices, rays in partition(rng, sectors)
         ]
-        bound = 1e-11 if law == "nearly singular" else 1e-13
+        bound = 1e-11 if dist == "nearly singular" else 1e-13
         np.testing.assert_allclose(sum(c.mass for c in cells), 1.0, rtol=bound)
         np.testing.assert_allclose(sum(c.first for c in cells), mean, atol=bound)
         exact = cov + np.outer(mean - about, mean - about)
@@ -136,7 +137,7 @@ def test_first_vertex_orientation_and_padding_do_not_matter():
         np.testing.assert_allclose(other.cov, one.cov, atol=1e-14)
 
 
-def test_batches_of_laws_and_padded_regions_equal_single_calls():
+def test_batches_of_dists_and_padded_regions_equal_single_calls():
     rng = np.random.default_rng(7)
     tables = [SQUARE, CHEVRON, box(4, 5, -1, 1)]
     regions = pad_regions(tables)
@@ -172,7 +173,7 @@ def test_large_batches_and_batches_of_unlike_regions():
     np.testing.assert_allclose(found.mass, [inside**2, beyond / 2], rtol=1e-14)
 
 
-# Laws on a line and at a point
+# Distributions on a line and at a point
 
 
 def sliced(mean, direction, vertices):
@@ -191,7 +192,7 @@ def sliced(mean, direction, vertices):
 
 
 @pytest.mark.parametrize("direction", [(1.2, -0.5), (0.3, 2.0), (1.0, 0.0), (0.0, 0.7)])
-def test_law_on_a_line_is_a_sum_of_intervals(direction):
+def test_dist_on_a_line_is_a_sum_of_intervals(direction):
     comb = np.array(KNOWN["comb"]["vertices"], dtype=float)
     direction = np.array(direction)
     for mean in ([1.3, 2.1], [2.7, 0.4], [-9.0, 3.1], [2.2, 13.0]):
@@ -213,7 +214,7 @@ def test_law_on_a_line_is_a_sum_of_intervals(direction):
     np.testing.assert_allclose(tail.cov, np.full((2, 2), line.cov), rtol=1e-13)
 
 
-def test_law_on_a_line_over_unbounded_regions():
+def test_dist_on_a_line_over_unbounded_regions():
     cov = np.ones((2, 2))
     found = polygon([0.3, 0.4], cov, [[0.0, 0.0]], rays=[[0, 1], [1, 0]])
     np.testing.assert_allclose(found.mass, interval(0.3, 1.0, 0.0, np.inf).mass, rtol=1e-13)

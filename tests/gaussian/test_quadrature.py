@@ -93,7 +93,7 @@ def test_mean_by_a_rule_without_symmetry():
     assert found == pytest.approx(weights @ (at[0] ** 3 + at[1]), rel=1e-14)
 
 
-def test_mean_of_a_quartic_of_a_correlated_law_is_the_symbolic_one():
+def test_mean_of_a_quartic_of_a_correlated_dist_is_the_symbolic_one():
     x = sp.symbols("x0:3", real=True)
     f = x[0] ** 2 * x[1] * x[2] + 3 * x[2] ** 4 - x[0]
     mean, cov = [0.3, -1.0, 0.5], np.array([[1, 0.2, 0.1], [0.2, 0.5, -0.3], [0.1, -0.3, 0.8]])

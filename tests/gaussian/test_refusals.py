@@ -70,7 +70,7 @@ REFUSALS = [
     (lambda: expectation_function("x", [x]), TypeError, "f"),
     (lambda: expectation_function(x > 0, [x]), TypeError, "f"),
     (lambda: expectation_function(x, x), TypeError, "variables"),
-    # laws
+    # distributions
     (lambda: product([0, 0, 0], np.eye(3)), ValueError, "mean"),
     (lambda: product([0, NAN], EYE), ValueError, "mean"),
     (lambda: product([0, 1j], EYE), TypeError, "mean"),

@@ -6,7 +6,7 @@ import sympy
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from oracles.gaussian import branch_moments, random_law
+from oracles.gaussian import branch_moments, random_dist
 from seedslib import zoo
 from seedslib.linearization import (
     Cubature,
@@ -35,9 +35,9 @@ WEIGHTS = {
 }
 
 
-def laws(n, count=3, seed=0, scale=0.5):
+def dists(n, count=3, seed=0, scale=0.5):
     rng = np.random.default_rng([seed, n])
-    pairs = [random_law(rng, n, scale) for _ in range(count)]
+    pairs = [random_dist(rng, n, scale) for _ in range(count)]
     return tuple(np.stack(part, axis=-1) for part in zip(*pairs, strict=True))
 
 
@@ -59,7 +59,7 @@ def by_nodes(map, mean, cov, nodes=30, at=AT):
 
 
 def assert_branch(found, map, means, covs, rtol, at=AT, nodes=30):
-    """Each law of a batch against the nodes."""
+    """Each distribution of a batch against the nodes."""
     for k in range(means.shape[-1]):
         for part, exact in zip(
             flatten(found), by_nodes(map, means[:, k], covs[..., k], nodes, at), strict=True
@@ -78,11 +78,11 @@ def as_functions(map):
 @pytest.mark.parametrize("name", WEIGHTS)
 def test_branch_of_every_kind_of_weight_against_nodes(name):
     branch = StochasticMap((x, y), VALUES, NOISE, weight=WEIGHTS[name])
-    law = laws(2)
-    assert_branch(ExactGaussian().weighted(branch)(AT, *law), branch, *law, 1e-8)
-    assert_branch(GaussHermite(30).weighted(branch)(AT, *law), branch, *law, 1e-8)
+    dist = dists(2)
+    assert_branch(ExactGaussian().weighted(branch)(AT, *dist), branch, *dist, 1e-8)
+    assert_branch(GaussHermite(30).weighted(branch)(AT, *dist), branch, *dist, 1e-8)
     hidden = as_functions(branch)
-    assert_branch(GaussHermite(24).weighted(hidden)(AT, *law), branch, *law, 1e-7)
+    assert_branch(GaussHermite(24).weighted(hidden)(AT, *dist), branch, *dist, 1e-7)
 
 
 @pytest.mark.parametrize("name", ["scalar", "target", "dependent"])
@@ -93,14 +93,14 @@ def test_rows_of_switching_systems_against_nodes(name):
         "target": zoo.manoeuvring_target,
         "dependent": zoo.dependent_switching,
     }[name]()
-    law = laws(system.state_size, 4)
+    dist = dists(system.state_size, 4)
     nodes = {"target": 8}.get(name, 60)
     for row in (system.branches[0], system.readings[1]):
         maps = [branch.map for branch in row]
         for rule in (ExactGaussian(), GaussHermite(nodes)):
-            found = rule.row(maps)(0.0, *law)
+            found = rule.row(maps)(0.0, *dist)
             for branch, map in zip(found, maps, strict=True):
-                assert_branch(branch, map, *law, 1e-7, at=0.0, nodes=nodes)
+                assert_branch(branch, map, *dist, 1e-7, at=0.0, nodes=nodes)
             assert_allclose(sum(branch.mass for branch in found), 1.0, rtol=1e-12)
 
 
@@ -110,15 +110,15 @@ def test_row_is_its_branches_one_by_one(rule):
     rows = [[branch.map for branch in zoo.scalar_switching("A2").branches[0]]]
     if not isinstance(rule, Taylor):
         rows.append([branch.map for branch in zoo.dependent_switching().readings[1]])
-    law = laws(1, 5)
+    dist = dists(1, 5)
     for maps in rows:
         for order in (maps, maps[::-1]):
-            for found, map in zip(rule.row(order)(0.0, *law), order, strict=True):
-                alone = rule.weighted(map)(0.0, *law)
+            for found, map in zip(rule.row(order)(0.0, *dist), order, strict=True):
+                alone = rule.weighted(map)(0.0, *dist)
                 for part, exact in zip(flatten(found), flatten(alone), strict=True):
                     assert_allclose(*np.broadcast_arrays(part, exact), rtol=1e-13, atol=1e-14)
     if len(rows) == 2:
-        one, two = rule.row(rows[1])(0.0, *law)
+        one, two = rule.row(rows[1])(0.0, *dist)
         assert np.abs(one.value.mean - two.value.mean).min() > 0.01
 
 
@@ -127,7 +127,7 @@ def test_constant_weight_leaves_the_plain_moments(rule):
     """Sigma points take the weights of means for squares as well: their covariance differs."""
     plain = StochasticMap((x, y), VALUES, NOISE)
     branch = StochasticMap((x, y), VALUES, NOISE, weight=sympy.Rational(1, 4))
-    means, covs = laws(2)
+    means, covs = dists(2)
     found, moments = rule.weighted(branch)(AT, means, covs), rule.moments(plain)(AT, means, covs)
     assert_allclose(found.mass, 0.25)
     assert_allclose(found.state.mean, means, rtol=1e-12)
@@ -143,7 +143,7 @@ def test_constant_weight_leaves_the_plain_moments(rule):
 def test_taylor_in_a_branch_is_the_exact_mean_of_the_expansions(name):
     """(7.3) of the switching paper, with the linear weight and value as a branch of their own."""
     branch = StochasticMap((x, y), VALUES, NOISE, weight=WEIGHTS[name])
-    means, covs = laws(2, scale=0.3)
+    means, covs = dists(2, scale=0.3)
     found = Taylor().weighted(branch)(AT, means, covs)
     for k in range(3):
         here = {t: AT, x: means[0, k], y: means[1, k], v: 0.3}
@@ -195,7 +195,7 @@ def test_branch_far_from_the_origin_keeps_its_digits():
 
 @pytest.mark.parametrize("sign", [1, -1])
 def test_branch_in_the_far_tail(sign):
-    """A mass of 1e-40: moments of a normal law cut off by a blurred line."""
+    """A mass of 1e-40: moments of a normal distribution cut off by a blurred line."""
     weight = (1 - sympy.erf(sign * x / sympy.sqrt(2))) / 2
     branch = StochasticMap((x,), [x + v], Noise((v,)), weight=weight)
     found = ExactGaussian().weighted(branch)(0, np.array([[sign * 19.0]]), np.ones((1, 1, 1)))

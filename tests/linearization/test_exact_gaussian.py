@@ -1,4 +1,5 @@
-"""Exact Gaussian moments of maps: covariances to all digits, kinks, known states, wide laws."""
+"""Exact Gaussian moments of maps: covariances to all digits, kinks, known states, wide
+distributions."""
 
 import numpy as np
 import pytest
@@ -31,10 +32,10 @@ def test_moments_and_rates_of_the_examples_against_nodes(name):
     rng = np.random.default_rng(0)
     n = system.state_size
     root = rng.standard_normal((n, n, 4))
-    law = rng.standard_normal((n, 4)), 0.4 * np.einsum("ik...,jk...->ij...", root, root)
+    dist = rng.standard_normal((n, 4)), 0.4 * np.einsum("ik...,jk...->ij...", root, root)
     for make, given in (("moments", system.sensor), ("flow", system)):
         found, exact = (
-            getattr(rule, make)(given)(0.0, *law) for rule in (ExactGaussian(), GaussHermite(10))
+            getattr(rule, make)(given)(0.0, *dist) for rule in (ExactGaussian(), GaussHermite(10))
         )
         for part, wanted in zip(found, exact, strict=True):
             assert_allclose(*np.broadcast_arrays(part, wanted), rtol=1e-10, atol=1e-10)

@@ -6,7 +6,7 @@ import sympy
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from oracles.gaussian import branch_moments, random_law
+from oracles.gaussian import branch_moments, random_dist
 from seedslib import zoo
 from seedslib.base import Input, Parameter
 from seedslib.filters import CovarianceFilter
@@ -38,9 +38,9 @@ def hidden(map):
     return StochasticMap.from_functions(map.state_size, map.size, map.value, map.noise)
 
 
-def laws(n, count=4, seed=0, scale=0.7):
+def dists(n, count=4, seed=0, scale=0.7):
     rng = np.random.default_rng(seed)
-    pairs = [random_law(rng, n, scale) for _ in range(count)]
+    pairs = [random_dist(rng, n, scale) for _ in range(count)]
     return tuple(np.stack(part, axis=-1) for part in zip(*pairs, strict=True))
 
 
@@ -50,8 +50,8 @@ def value(points, noise):
 
 def by_nodes(mean, cov):
     """Exact: of degree two in all variables."""
-    law = NOISE.mean, NOISE.cov
-    return branch_moments(value, lambda points, noise: 1.0, mean, cov, *law, 4)[3:]
+    dist = NOISE.mean, NOISE.cov
+    return branch_moments(value, lambda points, noise: 1.0, mean, cov, *dist, 4)[3:]
 
 
 def by_slopes(mean, cov):
@@ -115,9 +115,9 @@ CASES = [(rule, True) for rule in RULES] + [(rule, False) for rule in RULES[2:]]
 
 @pytest.mark.parametrize(("rule", "given"), CASES)
 def test_moments_of_a_map_that_has_it_all(rule, given):
-    """For single laws, batches, and many means of one covariance."""
+    """For single distributions, batches, and many means of one covariance."""
     map = MAP if given else hidden(MAP)
-    means, covs = laws(2)
+    means, covs = dists(2)
     found = rule.moments(map)(AT, means, covs)
     shared = rule.moments(map)(AT, means, covs[..., 0])
     folded = rule.moments(map)(AT, means.reshape(2, 2, 2), covs.reshape(2, 2, 2, 2))
@@ -184,7 +184,7 @@ def test_rates_of_a_jump_diffusion(rule):
         change = cross + cross.T + spread
         return h[:2], cross, spread, [*h[:2], change[0, 0], change[1, 0], change[1, 1]]
 
-    means, covs = laws(2)
+    means, covs = dists(2)
     components = [*means, covs[0, 0], covs[1, 0], covs[1, 1]]
     found = [np.broadcast_to(part, 4) for part in rule.rate(system)(AT, components)]
     flow = rule.flow(system)(AT, means, covs)
@@ -198,7 +198,7 @@ def test_rates_of_a_jump_diffusion(rule):
 
 
 @pytest.mark.parametrize("rule", RULES)
-def test_moments_of_a_law_of_lower_rank(rule):
+def test_moments_of_a_dist_of_lower_rank(rule):
     """A known component, two that move together, and a map without noise."""
     for cov in (np.diag([0.0, 0.3]), np.array([[1.0, 2.0], [2.0, 4.0]]), np.zeros((2, 2))):
         mean = np.array([1.0, -0.5])
@@ -276,7 +276,7 @@ def test_moments_of_matrices():
     (G, Q), (H, R) = ([lambda t, i=i, j=j: matrices(t)[i][j] for j in range(2)] for i in range(2))
     b, d = (push @ [u] for _, _, push in matrices(sympy.Symbol("t")))
     system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2), b=b, d=d)
-    means, covs = laws(2)
+    means, covs = dists(2)
     for map, (slope, noise, push) in zip(
         (system.dynamics, system.sensor), matrices(AT), strict=True
     ):

@@ -43,15 +43,15 @@ def test_unscented_moments_of_a_square(alpha, beta, kappa):
 
 def test_nodes_take_maps_without_a_closed_form():
     rational = StochasticMap((x,), [1 / (1 + x**2) + v], Noise((v,)))
-    law = np.array([0.0]), np.array([[0.01]])
-    found = GaussHermite(30).moments(rational)(0, *law)
+    dist = np.array([0.0]), np.array([[0.01]])
+    found = GaussHermite(30).moments(rational)(0, *dist)
     assert_allclose(found.mean, [1 - 0.01 + 3e-4], atol=2e-5)
 
 
 @pytest.mark.parametrize("rule", [Unscented(1, 0, 0), Cubature(), GaussHermite(7)])
 def test_array_functions_with_known_conditional_moments_need_no_nodes_for_the_noise(rule):
     symbolic = zoo.kicked_duffing().sensor
-    law = np.array([0.4, -1.0]), np.array([[0.8, 0.3], [0.3, 0.5]])
+    dist = np.array([0.4, -1.0]), np.array([[0.8, 0.3], [0.3, 0.5]])
     known = StochasticMap.from_functions(
         2,
         1,
@@ -60,7 +60,7 @@ def test_array_functions_with_known_conditional_moments_need_no_nodes_for_the_no
         mean=lambda t, x: symbolic.conditional_moments(t, x)[0],
         cov=lambda t, x: symbolic.conditional_moments(t, x)[1],
     )
-    pairs = zip(rule.moments(known)(0, *law), rule.moments(symbolic)(0, *law), strict=True)
+    pairs = zip(rule.moments(known)(0, *dist), rule.moments(symbolic)(0, *dist), strict=True)
     for found, exact in pairs:
         assert_allclose(found, exact, rtol=1e-12, atol=1e-12)
 

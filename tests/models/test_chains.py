@@ -1,4 +1,5 @@
-"""Systems as chains on grids: masses, their motion and likelihoods against laws that are known."""
+"""Systems as chains on grids: masses, their motion and likelihoods against distributions that are
+known."""
 
 import numpy as np
 import pytest
@@ -43,8 +44,8 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
     drift, spread = sympy.cos(3 * t) - t * x / 2, sympy.sqrt(1 + t / 4)
     chain = grid_chain(flow(drift, spread, 0.7, 0.2, step=0.02, **jumps), (-8.0, 8.0, 321))
     start, stop = 1.5, 2.3
-    law, nodes = chain.transition(start, stop) @ chain.initial, chain.values[0]
-    np.testing.assert_allclose(chain.distribution(stop, start), law, rtol=1e-14)
+    dist, nodes = chain.transition(start, stop) @ chain.initial, chain.values[0]
+    np.testing.assert_allclose(chain.distribution(stop, start), dist, rtol=1e-14)
     np.testing.assert_allclose(chain.distribution(start, start), chain.initial)
     shown = np.array([[0.4, -1.0]])
     found = chain.log_likelihood(stop, shown)
@@ -61,16 +62,18 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
         ]
 
     m, q = solve_ivp(rates, (start, stop), [0.7, 0.69], rtol=1e-9).y[:, -1]
-    assert law.sum() == pytest.approx(1.0, abs=1e-13)
-    assert law @ nodes == pytest.approx(m, abs=3e-4)
-    assert law @ nodes**2 == pytest.approx(q, abs=2e-3)
+    assert dist.sum() == pytest.approx(1.0, abs=1e-13)
+    assert dist @ nodes == pytest.approx(m, abs=3e-4)
+    assert dist @ nodes**2 == pytest.approx(q, abs=2e-3)
 
 
 def test_jumps_without_diffusion_are_counted():
     """Jumps of one with intensity 2, of a known start; a frozen state of intensity x^2."""
-    law = grid_chain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).distribution(0.6)
+    dist = grid_chain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).distribution(
+        0.6
+    )
     expected = [np.exp(-1.2) * 1.2**k / np.prod(np.arange(1.0, k + 1)) for k in range(8)]
-    assert law[::4][:8] == pytest.approx(expected, abs=1e-12)
+    assert dist[::4][:8] == pytest.approx(expected, abs=1e-12)
     chain = grid_chain(flow(0, 0, 0.0, 1.0, intensity=x**2, jump=[40 - x]), (-6.0, 40.0, 921))
     assert chain.distribution(0.5)[chain.values[0] < 20].sum() == pytest.approx(2.0**-0.5, abs=1e-4)
     drifting = grid_chain(flow(1, 0, 1.0, 0.01), (0.0, 4.0, 401))
@@ -82,9 +85,9 @@ def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
     """z^2 - 1 has mean 0 and second moment 2."""
     system = flow(0, sympy.Rational(1, 2), intensity=3, jump=[z**2 - 1], marks=Noise((z,)))
     chain = grid_chain(system, (-20.0, 40.0, 301))
-    law, nodes = chain.distribution(0.5), chain.values[0]
-    assert law @ nodes == pytest.approx(0.0, abs=1e-6)
-    assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
+    dist, nodes = chain.distribution(0.5), chain.values[0]
+    assert dist @ nodes == pytest.approx(0.0, abs=1e-6)
+    assert dist @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
 
 
 def test_rates_that_change_late():
@@ -125,9 +128,9 @@ def test_a_discrete_chain_takes_a_step_as_long_as_it_is():
                 slope * nodes[[40, 75]], np.sqrt(1 - slope**2), nodes[:, None], weights[:, None]
             )
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-10, atol=1e-300)
-        law = np.stack([chain.initial] * 2, axis=1)
-        moved = chain.move(law, 0.0, 0.5)
-        np.testing.assert_allclose(moved, chain.transition(0.0, 0.5) @ law)
+        dist = np.stack([chain.initial] * 2, axis=1)
+        moved = chain.move(dist, 0.0, 0.5)
+        np.testing.assert_allclose(moved, chain.transition(0.0, 0.5) @ dist)
 
 
 def test_a_discrete_chain_in_the_plane_and_a_known_start():
@@ -198,7 +201,7 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
             if scale == 1.0:
                 density = norm.pdf(nodes[:, None], mean, size[drive])
                 np.testing.assert_allclose(mass, share * density / density.sum(axis=0), atol=1e-10)
-            else:  # a narrow law falls into the cell that it is in
+            else:  # a narrow distribution falls into the cell that it is in
                 np.testing.assert_allclose(nodes @ mass / share, mean, atol=0.0751)
     wanted = np.concatenate(
         [p * masses(m, np.sqrt(c), nodes, 0.15) for p, m, c in ((0.2, 1.0, 1.0), (0.8, -2.0, 2.0))]
@@ -258,7 +261,7 @@ def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
 # The plane
 
 
-def test_a_plane_chain_moves_a_linear_law_with_an_error_of_second_order():
+def test_a_plane_chain_moves_a_linear_dist_with_an_error_of_second_order():
     """And `back` is its adjoint: means of functions of the later state."""
     system, drift = zoo.linear_gaussian(), np.array([[0.0, 1.0], [-1.0, -0.4]])
     move, noise = van_loan(drift, np.diag([0.0, 1.0]), 0.5)
@@ -266,11 +269,11 @@ def test_a_plane_chain_moves_a_linear_law_with_an_error_of_second_order():
     missed = []
     for substep in (0.25, 0.125):
         chain = PlaneChain(system, [(-7, 7, 57), (-7, 7, 57)], substep)
-        law = chain.move(chain.initial[:, None], 0.0, 0.5)[:, 0]
-        about = chain.values - (chain.values @ law)[:, None]
-        missed.append([*(chain.values @ law - mean), *((about * law) @ about.T - cov).ravel()])
+        dist = chain.move(chain.initial[:, None], 0.0, 0.5)[:, 0]
+        about = chain.values - (chain.values @ dist)[:, None]
+        missed.append([*(chain.values @ dist - mean), *((about * dist) @ about.T - cov).ravel()])
         back = chain.back(chain.values, 0.0, 0.5)
-        np.testing.assert_allclose(back @ chain.initial, chain.values @ law, atol=1e-4)
+        np.testing.assert_allclose(back @ chain.initial, chain.values @ dist, atol=1e-4)
     assert np.abs(missed[1]).max() < 2.5e-3
     assert np.abs(missed[1]).max() < 0.3 * np.abs(missed[0]).max()
     found = chain.log_likelihood(0.0, np.array([[0.4, -1.0]]))
@@ -299,9 +302,9 @@ def test_modes_in_the_plane_move_with_the_moments_of_their_maps(drives):
     np.testing.assert_allclose(start.sum(axis=1), [0.7, 0.3])
     np.testing.assert_allclose(chain.nodes @ start[1] / 0.3, [1, 0], atol=1e-4)
     point = int(np.argmin(((chain.nodes - np.array([[1.0], [0.5]])) ** 2).sum(axis=0)))
-    law = np.zeros((2 * count, 1))
-    law[point] = 1.0  # in mode 0
-    later = chain.move(law, 2.0, 3.0).reshape(2, -1)
+    dist = np.zeros((2 * count, 1))
+    dist[point] = 1.0  # in mode 0
+    later = chain.move(dist, 2.0, 3.0).reshape(2, -1)
     here = chain.nodes[:, point]
     chance = 0.4 + 0.5 * np.exp(-(here[0] ** 2))
     np.testing.assert_allclose(later.sum(axis=1), [chance, 1 - chance], rtol=1e-9)

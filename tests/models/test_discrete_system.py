@@ -1,4 +1,4 @@
-"""Systems in discrete time, linear and not: simulated paths have the law of the model."""
+"""Systems in discrete time, linear and not: simulated paths have the distribution of the model."""
 
 import pickle
 
@@ -19,7 +19,7 @@ x, v, w, t = sympy.symbols("x v w t")
 PATHS = 20_000
 
 
-def assert_joint_law(data, oracle):
+def assert_joint_dist(data, oracle):
     """All states and measurements of a run against mean and covariance of the regression."""
     (times, n), m = oracle.state_means.shape, oracle.m
     rows = np.concatenate([oracle.states.reshape(times * n, -1), *oracle.measured])
@@ -35,16 +35,16 @@ def assert_joint_law(data, oracle):
 
 
 @pytest.mark.parametrize("make", [discrete_system, linear_system])
-def test_simulated_records_have_the_joint_law_of_the_model(make):
+def test_simulated_records_have_the_joint_dist_of_the_model(make):
     """Depends on time and on the length of the step, driven by inputs, from a late start."""
     data = make().simulate(TIMES, PATHS, 1, inputs=INPUTS)
-    assert_joint_law(data, Regression(linear_numbers(means=make is discrete_system)))
+    assert_joint_dist(data, Regression(linear_numbers(means=make is discrete_system)))
 
 
 def test_functions_of_time_simulate_and_average_as_formulas_do():
     of_functions, formulas = linear_system("functions"), linear_system()
     data = of_functions.simulate(EVEN, PATHS, 1, inputs=INPUTS)
-    assert_joint_law(data, Regression(linear_numbers(EVEN, means=False)))
+    assert_joint_dist(data, Regression(linear_numbers(EVEN, means=False)))
     at = np.random.default_rng(0).normal(size=(3, 4))
     inputs = {u: row[2] for u, row in INPUTS.items()}
     for name in ("dynamics", "sensor"):

@@ -168,7 +168,7 @@ def test_bad_intensities_are_found_when_they_occur(rate):
 # What a system is made of
 
 
-def test_an_initial_law_may_be_sampled_and_parameters_may_be_put_in():
+def test_an_initial_dist_may_be_sampled_and_parameters_may_be_put_in():
     system = scalar(initial=lambda rng, count: rng.uniform(0, 2, (1, count)), cov0=[[1 / 3]])
     start = system.simulate([0.0], 10_000, 0).states[0, 0]
     assert start.min() >= 0

@@ -24,7 +24,7 @@ def test_draws_have_the_stated_moments():
     np.testing.assert_allclose(scalar_mean.mean(axis=1), 3.0, atol=0.04)
 
 
-def test_draws_of_a_singular_law_stay_on_its_line():
+def test_draws_of_a_singular_dist_stay_on_its_line():
     draws = Noise((v, w), cov=[[1, 2], [2, 4]]).draw(np.random.default_rng(0), 50)
     np.testing.assert_allclose(draws[1], 2 * draws[0], rtol=1e-14)
     still = Noise((v,), mean=[0.7], cov=[[0.0]]).draw(np.random.default_rng(0), 3)
@@ -49,7 +49,7 @@ def test_noise_with_a_sampler_knows_its_first_two_moments_only():
         bad.draw(np.random.default_rng(0), 5)
 
 
-def test_noises_are_equal_where_names_and_laws_are():
+def test_noises_are_equal_where_names_and_dists_are():
     noise = Noise((v, w), cov=COV)
     same = Noise([v, w], [0.0, -0.0], COV.tolist())
     assert noise == same

@@ -1,4 +1,5 @@
-"""Switching systems: the law of modes, states, measurements and indicators on simulated paths."""
+"""Switching systems: the distribution of modes, states, measurements and indicators on simulated
+paths."""
 
 import warnings
 
@@ -51,7 +52,7 @@ def system(drives="new", **changes):
     return SwitchingSystem(**given | changes, drives=drives)
 
 
-# Laws of the paths
+# Distributions of the paths
 
 
 @pytest.mark.parametrize("drives", ["old", "new"])
@@ -116,7 +117,7 @@ def test_switches_depend_on_the_old_state_and_mode(drives):
         assert noise.std() == pytest.approx(PUSH[i], rel=4 / np.sqrt(2 * noise.size))
 
 
-def test_dependent_noises_have_the_joint_law_of_correlated_pairs():
+def test_dependent_noises_have_the_joint_dist_of_correlated_pairs():
     """Switching and indicator against draws of the normal pairs that they stand for."""
     paths, rng = 100_000, np.random.default_rng(5)
     data = zoo.dependent_switching().simulate([0.0, 1.0], paths, 4)

@@ -35,7 +35,7 @@ def transition(system, start, stop):
     return solve_ivp(slope, (start, stop), first, **TIGHT).y[:, -1].reshape(2, n, n)
 
 
-def start_law(system, t):
+def start_dist(system, t):
     """Mean and covariance of the state at t from those at 0."""
     move, noise = transition(system, 0.0, t)
     return move @ system.mean0, move @ system.cov0 @ move.T + noise
@@ -47,7 +47,7 @@ def filtered(system, times, increments=None):
     With increments (K, m) their rates are constant over a step; NaN is missing. Without
     increments all is measured and the mean is that of the state.
     """
-    n, laws = system.state_size, [start_law(system, times[0])]
+    n, dists = system.state_size, [start_dist(system, times[0])]
     for k, (a, b) in enumerate(pairwise(times)):
         h = system.sensor
         observed = np.ones(len(h), bool) if increments is None else ~np.isnan(increments[k])
@@ -61,7 +61,7 @@ def filtered(system, times, increments=None):
             dm = system.drift @ m + gain @ (rate - h @ m)
             return np.concatenate([dm, (free - gain @ h @ p).ravel()])
 
-        first = np.concatenate([laws[-1][0], laws[-1][1].ravel()])
+        first = np.concatenate([dists[-1][0], dists[-1][1].ravel()])
         y = first if a == b else solve_ivp(slope, (a, b), first, **TIGHT).y[:, -1]
-        laws.append((y[:n], y[n:].reshape(n, n)))
-    return [np.stack(parts) for parts in zip(*laws, strict=True)]
+        dists.append((y[:n], y[n:].reshape(n, n)))
+    return [np.stack(parts) for parts in zip(*dists, strict=True)]

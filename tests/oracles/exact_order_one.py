@@ -1,8 +1,9 @@
 """Exact filters of the scalar switching system, of order one and with remembered measurements.
 
 Written from [R-SW 3.1, 4.1-4.8] alone, for the references that come from outside of the project.
-The law of the memory (a decided mode and an estimate) and of the object (mode and state) moves
-from measurement to measurement; an estimate is split between the two nearest nodes of its axis.
+The distribution of the memory (a decided mode and an estimate) and of the object (mode and state)
+moves from measurement to measurement; an estimate is split between the two nearest nodes of its
+axis.
 """
 
 from __future__ import annotations
@@ -45,13 +46,17 @@ def errors(sensor, steps, states=121, estimates=161, measurements=301):
     """Mean squares of the error and probabilities of a wrong mode, at k = 0 to steps - 1."""
     z = np.linspace(-6, 6, estimates)
     both, transition, likely, start = model(sensor, states, measurements)
-    law, found = start[None], []
+    dist, found = start[None], []
     for k in range(steps):
-        law = law @ transition if k else law
-        ahead, square, right = np.zeros((2 * estimates, 2 * states)), law.sum(axis=0) @ both**2, 0.0
+        dist = dist @ transition if k else dist
+        ahead, square, right = (
+            np.zeros((2 * estimates, 2 * states)),
+            dist.sum(axis=0) @ both**2,
+            0.0,
+        )
         for weight in likely:
-            joint = law * weight
-            modes = joint.reshape(len(law), 2, states).sum(axis=2)
+            joint = dist * weight
+            modes = joint.reshape(len(dist), 2, states).sum(axis=2)
             mass, right = modes.sum(axis=1), right + modes.max(axis=1).sum()
             first = joint @ both
             mean = np.divide(first, mass, out=np.zeros_like(mass), where=mass > 1e-300)
@@ -62,8 +67,8 @@ def errors(sensor, steps, states=121, estimates=161, measurements=301):
             np.add.at(ahead, cell, joint * (1 - share)[:, None])
             np.add.at(ahead, cell + 1, joint * share[:, None])
         found.append((square, 1 - right))
-        law = ahead[ahead.sum(axis=1) > 1e-14]
-        law /= law.sum()
+        dist = ahead[ahead.sum(axis=1) > 1e-14]
+        dist /= dist.sum()
     return np.array(found).T
 
 
@@ -73,14 +78,14 @@ def remembered(sensor, length, k, states=65, measurements=81):
     Nothing is remembered but measurements, so the sums run over all of their nodes; those before
     do not matter.
     """
-    both, transition, likely, law = model(sensor, states, measurements)
+    both, transition, likely, dist = model(sensor, states, measurements)
     for _ in range(k - length):
-        law = law @ transition
-    laws = law[None]  # joint law of the remembered measurements and of the object
+        dist = dist @ transition
+    dists = dist[None]  # joint distribution of the remembered measurements and of the object
     square, right = 0.0, 0.0
     for _ in range(length):
-        laws = (laws[:, None] * likely).reshape(-1, len(law)) @ transition
-    for part in np.array_split(laws, max(1, len(laws) // 100)):
+        dists = (dists[:, None] * likely).reshape(-1, len(dist)) @ transition
+    for part in np.array_split(dists, max(1, len(dists) // 100)):
         joint = part[:, None] * likely
         mass, first = joint.sum(axis=2), joint @ both
         mean = np.divide(first, mass, out=np.zeros_like(mass), where=mass > 1e-300)

@@ -5,7 +5,7 @@ import numpy as np
 LEGENDRE = np.polynomial.legendre.leggauss(40)
 
 
-def random_law(rng, n, scale=1.0):
+def random_dist(rng, n, scale=1.0):
     """Mean (n,) and a full covariance (n, n)."""
     root = scale * rng.normal(size=(n, n))
     return rng.normal(size=n), root @ root.T

@@ -211,7 +211,8 @@ class Switching(NamedTuple):
 
 
 class Mixture(NamedTuple):
-    """Law of the state and of its mode: moments, P(mode), moments in each mode, log density."""
+    """Distribution of the state and of its mode: moments, P(mode), moments in each mode, log
+    density."""
 
     mean: np.ndarray
     cov: np.ndarray
@@ -232,7 +233,8 @@ def along(system, modes, drives="old"):
 
 
 def histories(system, y, indicators, k, last, drives="old"):
-    """Law of (x_k, mode at k) given the records up to `last`, over all histories of the modes."""
+    """Distribution of (x_k, mode at k) given the records up to `last`, over all histories of the
+    modes."""
     reach, count, parts = max(k, last), len(system.initial), []
     for modes in product(range(count), repeat=reach + 1):
         chain = Regression(along(system, modes, drives))

@@ -2,7 +2,7 @@
 
 Given the restricted components at the start, these are known at all times and the others are
 linear and Gaussian: one plain Kalman filter for each point of a quadrature rule whose panels end
-where a path meets an edge. No law is restricted to a region here.
+where a path meets an edge. No distribution is restricted to a region here.
 """
 
 from itertools import pairwise

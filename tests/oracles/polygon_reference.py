@@ -19,7 +19,7 @@ FILE = Path(__file__).with_suffix(".json")
 
 
 def reference(mean, cov, vertices, rays=None, digits=90):
-    """ln P, mean, covariance of the conditioned law as mpmath numbers."""
+    """ln P, mean, covariance of the conditioned distribution as mpmath numbers."""
     with mp.workdps(digits):
         m = [mp.mpf(v) for v in mean]
         a, b, c = mp.mpf(cov[0][0]), mp.mpf(cov[0][1]), mp.mpf(cov[1][1])

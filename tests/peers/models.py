@@ -12,7 +12,8 @@ import numpy as np
 
 
 class Linear(NamedTuple):
-    """X' = F X + W, Y = H X + V; ``y`` has shape (K, m), the law is that of the first state."""
+    """X' = F X + W, Y = H X + V; ``y`` has shape (K, m), the distribution is that of the first
+    state."""
 
     F: np.ndarray
     Q: np.ndarray
@@ -77,9 +78,9 @@ def matrix(rng, n, radius):
     return raw * (radius / np.abs(np.linalg.eigvals(raw)).max())
 
 
-def path(rng, model, laws, move, see, steps):
-    """The model with a record; laws are the parts of its three covariances."""
-    first, noise, sensor = laws
+def path(rng, model, dists, move, see, steps):
+    """The model with a record; distributions are the parts of its three covariances."""
+    first, noise, sensor = dists
     x, y = model.mean + drawn(rng, first), []
     for k in range(steps):
         if k:
@@ -102,8 +103,8 @@ def linear(seed, n, m, radius=0.9, rank=None, known=0, steps=25):
         part[last] = 0.0
     H, sensor, mean = rng.normal(size=(m, n)), roots(rng, m, 0.1), rng.normal(size=n)
     model = Linear(F, square(noise), H, square(sensor), mean, square(first), np.empty(0))
-    laws = first, noise, sensor
-    return path(rng, model, laws, lambda x: F @ x, lambda x: H @ x, steps)
+    dists = first, noise, sensor
+    return path(rng, model, dists, lambda x: F @ x, lambda x: H @ x, steps)
 
 
 def bent(seed, n, m, radius=0.9, steps=20):
@@ -119,8 +120,8 @@ def bent(seed, n, m, radius=0.9, steps=20):
         [scale**0.5 * part for part in roots(rng, size, 0.1)]
         for size, scale in ((n, 0.1), (m, 0.3), (n, 0.3))
     )
-    laws = square(noise), square(sensor), rng.normal(size=n), square(first)
-    model = Bent(A, B, C, D, E, G, *laws, np.empty(0))
+    dists = square(noise), square(sensor), rng.normal(size=n), square(first)
+    model = Bent(A, B, C, D, E, G, *dists, np.empty(0))
     return path(rng, model, (first, noise, sensor), model.move, model.see, steps)
 
 
@@ -146,7 +147,7 @@ def system(model):
 
 
 def late(y):
-    """A record before which nothing was measured: filterpy moves the first law once."""
+    """A record before which nothing was measured: filterpy moves the first distribution once."""
     return np.concatenate([np.full((1, *y.shape[1:]), np.nan), y])
 
 

@@ -1,6 +1,6 @@
 """Kalman filters and smoothers of filterpy 1.4.5 on random linear models.
 
-It moves the first law before the first measurement, so our records begin with a gap.
+It moves the first distribution before the first measurement, so our records begin with a gap.
 """
 
 import numpy as np

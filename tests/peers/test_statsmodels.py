@@ -1,7 +1,7 @@
 """State-space models of statsmodels 0.15 on random models, gaps, diffuse starts and fits.
 
-Its first law is that of the first record, as ours is, and a matrix of time belongs to the step
-that leaves. Its log-likelihood of an exact diffuse start is ours too.
+Its first distribution is that of the first record, as ours is, and a matrix of time belongs to the
+step that leaves. Its log-likelihood of an exact diffuse start is ours too.
 """
 
 import numpy as np
@@ -181,7 +181,7 @@ def arma(steps=150):
 
 @pytest.mark.parametrize("noise", [0.0, 0.3])
 def test_arma(noise, held):
-    """SARIMAX starts from the stationary law of its state."""
+    """SARIMAX starts from the stationary distribution of its state."""
     y, (a1, a2, b, q) = arma(), (0.5, 0.3, 0.4, 1.2)
     F, Q = np.array([[a1, 1], [a2, 0]]), q * np.array([[1, b], [b, b * b]])
     start = solve_discrete_lyapunov(F, Q)
@@ -212,17 +212,17 @@ def errors(model, values, kind):
 
 
 def test_maximum_likelihood_of_arma(held, apart):
-    """From a known first law, which the parameters do not move."""
-    y, law = arma(), np.diag([3.0, 1.0])
+    """From a known first distribution, which the parameters do not move."""
+    y, dist = arma(), np.diag([3.0, 1.0])
     a1, a2, b = Parameter("a1", 0.3), Parameter("a2", 0.1), Parameter("b", 0.2)
     q = Parameter("q", 0.8, positive=True)
     made = LinearSystem(
-        [[a1, 1], [a2, 0]], [[q, q * b], [q * b, q * b * b]], [[1, 0]], 0, [0, 0], law
+        [[a1, 1], [a2, 0]], [[q, q * b], [q * b, q * b * b]], [[1, 0]], 0, [0, 0], dist
     )
     best = fit(KalmanFilter(made), np.arange(150.0), y[:, None], [a1, a2, b, q])
     assert best.converged
     model = tsa.SARIMAX(y, order=(2, 0, 1), enforce_stationarity=False, enforce_invertibility=False)
-    model.initialize_known(np.zeros(2), law)
+    model.initialize_known(np.zeros(2), dist)
     model.loglikelihood_burn = 0  # it leaves out two records of what it takes for a diffuse start
     theirs = model.fit(best.values * 1.02, disp=0, method="bfgs", gtol=1e-8, cov_type="none")
     what = "SARIMAX(2, 0, 1).fit"

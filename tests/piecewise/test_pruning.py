@@ -56,7 +56,7 @@ def test_pruned_posteriors_are_those_of_the_kept_itineraries(prune):
 
 
 def test_of_equal_weights_the_first_branch_is_dropped():
-    """Two cells of one half each: the lower one goes, and half of the law is lost."""
+    """Two cells of one half each: the lower one goes, and half of the distribution is lost."""
     filter_ = PiecewiseLinearFilter(tent(mean0=[0.0]), prune=0.6)
     state = filter_.step(filter_.initial(), 0.0, [0.3])
     np.testing.assert_allclose(state.mode_prob, [0.0, 1.0], atol=1e-15)
@@ -70,8 +70,8 @@ def density(state, points, n):
     var = np.broadcast_to(branches.cov[0, 0], branches.mean[0].shape)[alive, n, None]
     gap = points - branches.mean[0, alive, n, None]
     inside = (regions[0, alive, None] <= points) & (points < regions[1, alive, None])
-    law = np.exp(branches.log_unit[alive, n, None] - 0.5 * gap**2 / var) / np.sqrt(2 * np.pi * var)
-    return np.where(inside, law, 0.0).sum(axis=0)
+    dist = np.exp(branches.log_unit[alive, n, None] - 0.5 * gap**2 / var) / np.sqrt(2 * np.pi * var)
+    return np.where(inside, dist, 0.0).sum(axis=0)
 
 
 def nodes_of(*states):

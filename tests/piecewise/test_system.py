@@ -69,9 +69,9 @@ def test_maps_of_the_system_for_other_filters():
             np.testing.assert_allclose(value, center + gain @ v[:, n], rtol=1e-12)
             if len(noise) == 2:
                 seen = np.isfinite(y[:, n])
-                law = multivariate_normal(center[seen], (gain @ gain.T)[np.ix_(seen, seen)])
+                dist = multivariate_normal(center[seen], (gain @ gain.T)[np.ix_(seen, seen)])
                 found = map_.log_density(t, y, x)[n]
-                np.testing.assert_allclose(found, law.logpdf(y[seen, n]), rtol=1e-11)
+                np.testing.assert_allclose(found, dist.logpdf(y[seen, n]), rtol=1e-11)
 
 
 def test_coefficients_with_and_without_an_axis_of_cells():

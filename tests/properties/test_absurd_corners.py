@@ -46,8 +46,8 @@ def test_variances_of_unlike_neighbours(ratio):
 @pytest.mark.parametrize("ratio", [1e10, 1e12, 1e15])
 def test_errors_under_priors_far_wider_than_the_noise(ratio):
     """Optimal errors of a square, a modulus and a sine of a state known ten digits better."""
-    law = [0.7], [[ratio]], [[1.0]]
-    square = mean_square_errors(x**2, [x])(*law)
+    dist = [0.7], [[ratio]], [[1.0]]
+    square = mean_square_errors(x**2, [x])(*dist)
     close(square.optimal, float(2 * mp.mpf(1) * (2 * mp.mpf(ratio) - 1 + 2 * mp.mpf("0.49"))))
     with mp.workdps(30):  # the density of the estimate is the same wherever the kink matters
 
@@ -56,7 +56,7 @@ def test_errors_under_priors_far_wider_than_the_noise(ratio):
             return gap * (2 * a + gap)
 
         rare = 2 * mp.quad(lost, [0, 1, 3, 10]) / mp.sqrt(2 * mp.pi * (mp.mpf(ratio) - 1))
-    for modulus in (abs_errors(0.7, ratio, 1.0), mean_square_errors(abs(x), [x])(*law)):
+    for modulus in (abs_errors(0.7, ratio, 1.0), mean_square_errors(abs(x), [x])(*dist)):
         close(modulus.optimal, float(1 - rare))
         assert modulus.plugin >= modulus.optimal * (1 - DIGITS)
     small = mean_square_errors(sp.sin(x), [x])([0.7], [[2.0]], [[2.0 / ratio]])

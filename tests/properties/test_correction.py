@@ -1,4 +1,4 @@
-"""Laws that a correction by measurements obeys: their order, what is missing, units."""
+"""Distributions that a correction by measurements obeys: their order, what is missing, units."""
 
 import numpy as np
 from hypothesis import given

@@ -1,4 +1,5 @@
-"""Laws that filters obey: records alone and together, parts of a record, clocks, names of modes."""
+"""Properties that filters have: records alone and together, parts of a record, clocks, names of
+modes."""
 
 import numpy as np
 import pytest

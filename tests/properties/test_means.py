@@ -1,4 +1,4 @@
-"""Laws that every mean under a Gaussian obeys, whatever the function and the Gaussian."""
+"""Distributions that every mean under a Gaussian obeys, whatever the function and the Gaussian."""
 
 import numpy as np
 import pytest
@@ -105,7 +105,7 @@ def test_turns_and_reflections(mean, var, turns):
 
 @given(vectors(3), covariances(3, floor=0.5), st.sampled_from([1e-3, 1.0, 1e6]))
 def test_an_elevation_has_no_unit_and_no_azimuth(mean, cov, unit):
-    """Of a law that is round about the axis: turned by a right angle it is the same."""
+    """Of a distribution that is round about the axis: turned by a right angle it is the same."""
     mean = mean + np.array([0.0, 0.0, 1.0]) * (mean[2] == 0)
     cov = np.diag([cov[0, 0], cov[0, 0], cov[2, 2]])
     one = elevation_moments(mean, cov)

@@ -11,7 +11,8 @@ ENDS = st.lists(EIGHTHS, min_size=1, max_size=5, unique=True).map(sorted)
 
 
 def mixed(parts, axis):
-    """Mass, mean and covariance of a law from those of its parts, the last axis along them."""
+    """Mass, mean and covariance of a distribution from those of its parts, the last axis along
+    them."""
     mass = np.exp(parts.log_mass)
     weight, there = mass / mass.sum(), mass > 0
     mean = np.where(there, parts.mean, 0.0)
@@ -23,7 +24,7 @@ def mixed(parts, axis):
 
 
 @given(EIGHTHS, st.integers(1, 60).map(lambda k: k / 8), ENDS)
-def test_parts_of_the_line_make_the_law(mean, var, ends):
+def test_parts_of_the_line_make_the_dist(mean, var, ends):
     ends = np.array([-np.inf, *ends, np.inf])
     total, whole, spread = mixed(interval(mean, var, ends[:-1], ends[1:]), 0)
     np.testing.assert_allclose([total, whole, spread], [1, mean, var], rtol=1e-12, atol=1e-12)

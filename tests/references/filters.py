@@ -2,7 +2,7 @@
 
 import mpmath as mp
 
-from references.high import STEP, column, family, law_values, matrix, relative
+from references.high import STEP, column, dist_values, family, matrix, relative
 from references.record import STEPS, wave
 
 
@@ -13,7 +13,8 @@ def record(k, m, offset, size, nudge=None):
 
 
 def corrected(mean, cov, error, cross, spread):
-    """Gaussian law given a measurement that is `error` off its mean, and the log-density."""
+    """Gaussian distribution given a measurement that is `error` off its mean, and the
+    log-density."""
     inverse = spread**-1
     gain, weighted = cross * inverse, inverse * error
     told = -((error.T * weighted)[0] + mp.log(mp.det(spread)) + len(error) * mp.log(2 * mp.pi)) / 2
@@ -38,7 +39,7 @@ def kalman_run(F, Q, H, R, mean0, cov0, offset, size, nudge=None):
 def kalman(**told):
     with mp.workdps(100):
         mean, cov, total = kalman_run(**told)
-        return {**law_values(mean, cov), "loglik": relative(total, 1)}
+        return {**dist_values(mean, cov), "loglik": relative(total, 1)}
 
 
 @family("diffuse Kalman filter", "recursion")
@@ -50,12 +51,12 @@ def diffuse_kalman(diffuse, cov0, **told):
             cov[k][k] = wide
         mean, cov, total = kalman_run(cov0=cov, **told)
         total += len(diffuse) * mp.log(wide) / 2
-        return {**law_values(mean, cov), "loglik": relative(total, 1)}
+        return {**dist_values(mean, cov), "loglik": relative(total, 1)}
 
 
 @family("smoother", "Gaussian conditioning at once")
 def smoother(F, Q, H, R, mean0, cov0, offset, size):
-    """The joint law of all states, given all measurements: no recursion back."""
+    """The joint distribution of all states, given all measurements: no recursion back."""
     with mp.workdps(100):
         F, Q, H, R, start = map(matrix, (F, Q, H, R, cov0))
         n, m, steps = F.rows, H.rows, STEPS // 2
@@ -84,7 +85,7 @@ def smoother(F, Q, H, R, mean0, cov0, offset, size):
                 cross[:, m * j : m * j + m] = joint(k, j) * H.T
             gain = cross * inverse
             mean = powers[k] * column(mean0) + gain * error
-            found |= law_values(mean, covs[k] - gain * cross.T, f"step {k} ")
+            found |= dist_values(mean, covs[k] - gain * cross.T, f"step {k} ")
         return found
 
 
@@ -141,4 +142,4 @@ def nonlinear(kind, step, pull, damping, Q, R, mean0, cov0, size):
             error = record(k, 1, mp.mpf(0), size) - first
             mean, cov, told = corrected(mean, cov, error, cross, spread + R * mp.eye(1))
             total += told
-        return {**law_values(mean, cov), "loglik": relative(total, 1)}
+        return {**dist_values(mean, cov), "loglik": relative(total, 1)}

@@ -1,4 +1,5 @@
-"""What the references are made of: 60 digits, normal laws, integrals, small matrices, a record.
+"""What the references are made of: 60 digits, normal distributions, integrals, small matrices, a
+record.
 
 Nothing here or in the families uses the library: only mpmath, and formulas from the definitions.
 """
@@ -94,7 +95,7 @@ def column(entries):
     return mp.matrix([[entry] for entry in entries])
 
 
-def law_values(mean, cov, prefix=""):
+def dist_values(mean, cov, prefix=""):
     """Mean and covariance: means relative to their deviations at least, covariances to theirs.
 
     Where nothing is unknown the errors are absolute.

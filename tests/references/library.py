@@ -37,7 +37,7 @@ from seedslib.models.maps import Noise, StochasticMap
 
 x, y, z = sympy.symbols("x y z", real=True)
 NAMES = (x, y, z)
-law_values = library_filters.law_values
+dist_values = library_filters.dist_values
 
 
 def pair(first: str, second: str, found: Any) -> dict[str, float]:
@@ -142,7 +142,7 @@ def interval_values(mean, var, lower, upper):
 
 
 def region_values(found):
-    return {"log mass": found.log_mass, **law_values(found.mean, found.cov)}
+    return {"log mass": found.log_mass, **dist_values(found.mean, found.cov)}
 
 
 def half_plane(mean, cov, normal, offset):

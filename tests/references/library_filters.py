@@ -36,7 +36,7 @@ from seedslib.two_step import kalman_bucy as filtered
 x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
 
 
-def law_values(mean, cov, prefix=""):
+def dist_values(mean, cov, prefix=""):
     n = len(mean)
     found = {f"{prefix}mean {i}": mean[i] for i in range(n)}
     return found | {f"{prefix}cov {i}{j}": cov[i, j] for i in range(n) for j in range(i + 1)}
@@ -58,13 +58,13 @@ def linear(F, Q, H, R, mean0, cov0, offset, size, steps=STEPS, **options):
 def kalman(**told):
     made, times, record = linear(**told)
     found = made.run(times, record)
-    return {**law_values(found.mean[-1], found.cov[-1]), "loglik": found.loglik.sum()}
+    return {**dist_values(found.mean[-1], found.cov[-1]), "loglik": found.loglik.sum()}
 
 
 def smoother(**told):
     found, values = smooth(*linear(**told, steps=STEPS // 2)), {}
     for k in (0, STEPS // 4, STEPS // 2 - 1):
-        values |= law_values(found.mean[k], found.cov[k], f"step {k} ")
+        values |= dist_values(found.mean[k], found.cov[k], f"step {k} ")
     return values
 
 
@@ -82,12 +82,12 @@ def nonlinear(kind, step, pull, damping, Q, R, mean0, cov0, size):
     sensor = StochasticMap((x1, x2), [sympy.sin(x1) + v], Noise((v,), cov=[[R]]))
     made = KINDS[kind](DiscreteSystem(dynamics, sensor, mean0, cov0))
     found = made.run(np.arange(STEPS + 1.0), waves(STEPS + 1, 1, size))
-    return {**law_values(found.mean[-1], found.cov[-1]), "loglik": found.loglik.sum()}
+    return {**dist_values(found.mean[-1], found.cov[-1]), "loglik": found.loglik.sum()}
 
 
 def discretisation(drift, diffusion, step):
     move, noise = van_loan(np.array(drift), np.array(diffusion), step)
-    spread = law_values([0, 0], noise, "noise ")
+    spread = dist_values([0, 0], noise, "noise ")
     return matrix_values(move, "transition") | {
         k.replace("noise cov", "noise"): c for k, c in spread.items() if "cov" in k
     }
@@ -100,14 +100,14 @@ def diffusion_system(drift, diffusion, sensor, intensity, mean0=(0.0, 0.0), cov0
 
 def riccati(**told):
     found = diffusion_system(**told).steady_error_cov()
-    return {k: c for k, c in law_values([0, 0], found).items() if k.startswith("cov")}
+    return {k: c for k, c in dist_values([0, 0], found).items() if k.startswith("cov")}
 
 
 def kalman_bucy(step, **told):
     times = np.arange(51) * step
     rate = waves(50, len(told["sensor"])) / 16
     found = filtered(diffusion_system(**told), times, (rate * step)[:, :, None])
-    return law_values(found.mean[-1, :, 0], found.cov[-1])
+    return dist_values(found.mean[-1, :, 0], found.cov[-1])
 
 
 FUNCTIONS = {
@@ -138,21 +138,25 @@ def designed(mean0, cov0, drift, diffusion, sensor, step, noise, memory):
     past = Memory(memory) if memory > 0 else Memory(0, -memory)
     made = synthesize(system, past, Taylor(), times, exact_moments=True)
     found = made.run(times, waves(13, 1) / 16, covariances=True)
-    return law_values(found.mean[-1], found.cov[-1])
+    return dist_values(found.mean[-1], found.cov[-1])
 
 
 def delay(A, delays, C, Q, R, cov0, past):
     system = DelaySystem(dict(zip(delays, A, strict=True)), C, Q, R, cov0, past)
     gains = optimal_gains(system, 60)
     gain, innovation_cov, cov = (table[-1] for table in gains)
-    law = {k: c for k, c in law_values(cov, cov).items() if k.startswith("cov")}
-    return {**matrix_values(gain.reshape(-1, 1), "gain"), "innovation": innovation_cov[0, 0], **law}
+    dist = {k: c for k, c in dist_values(cov, cov).items() if k.startswith("cov")}
+    return {
+        **matrix_values(gain.reshape(-1, 1), "gain"),
+        "innovation": innovation_cov[0, 0],
+        **dist,
+    }
 
 
 def two_modes(a, q, h, r, A, p, mean0, var0, drives):
     moves = [[a[0] * x1 + v], [a[1] * x1 + w]]
     shows = [[h[0] * x1 + v], [h[1] * x1 + w]]
-    law = [(p[i], [mean0[i]], [[var0[i]]]) for i in range(2)]
+    dist = [(p[i], [mean0[i]], [[var0[i]]]) for i in range(2)]
     return SwitchingSystem(
         (x1,),
         moves,
@@ -160,7 +164,7 @@ def two_modes(a, q, h, r, A, p, mean0, var0, drives):
         A,
         shows,
         Noise((v, w), cov=np.diag(r)),
-        law,
+        dist,
         drives=drives,
     )
 
@@ -169,7 +173,7 @@ def switching(**told):
     made, size = SwitchingFilter(two_modes(**told), Taylor()), 1.0 if told["r"][0] > 0.01 else 2**-6
     found = made.run(np.arange(STEPS + 1.0), waves(STEPS + 1, 1, size), covariances=True)
     sides = {f"probability {i}": found.mode_prob[-1, i] for i in range(2)}
-    return {**sides, "loglik": found.loglik.sum(), **law_values(found.mean[-1], found.cov[-1])}
+    return {**sides, "loglik": found.loglik.sum(), **dist_values(found.mean[-1], found.cov[-1])}
 
 
 def fixed_mode(count, apart, r):
@@ -201,7 +205,7 @@ def fixed_mode(count, apart, r):
     record, state = waves(count, 1) / 16, made.initial()
     for k, y in enumerate(record):
         state = made.correct(made.predict(state, float(k)), y)
-    first, second = state.law.log_prob
+    first, second = state.dist.log_prob
     return {"log odds": second - first, "lesser": min(first, second)}
 
 

@@ -79,7 +79,7 @@ def rows(name: str, case: str, arguments: dict) -> list[list[str]]:
             found = made.values(**moved)
             changes = {k: abs(number(v)[0] - values[k][0]) for k, v in found.items()}
         except (ValueError, AssertionError, TypeError):
-            changes = dict.fromkeys(values, mp.inf)  # no law any more: singular
+            changes = dict.fromkeys(values, mp.inf)  # no distribution any more: singular
         for k in values:
             condition[k] += changes[k] / STEP / values[k][1]
     return [

@@ -2,8 +2,8 @@
 
 import mpmath as mp
 
-from references.high import Value, column, density, family, law_values, matrix, relative
-from references.motion import matrix_law
+from references.high import Value, column, density, dist_values, family, matrix, relative
+from references.motion import matrix_dist
 from references.record import STEPS, wave
 
 
@@ -20,9 +20,9 @@ def stacked(A, delays, C, Q):
 
 
 def delay_values(gain, spread, cov, n):
-    found = matrix_law(gain, "gain")
-    law = law_values(column([1] * n), cov)
-    return {**found, "innovation": spread, **{k: v for k, v in law.items() if k[:3] == "cov"}}
+    found = matrix_dist(gain, "gain")
+    dist = dist_values(column([1] * n), cov)
+    return {**found, "innovation": spread, **{k: v for k, v in dist.items() if k[:3] == "cov"}}
 
 
 @family("delay filter", "recursion")
@@ -43,7 +43,8 @@ def delay(A, delays, C, Q, R, cov0, past):
 @family("switching filter", "recursion")
 @family("multiple models (IMM)", "recursion")
 def switching(**told):
-    """One Gaussian law in each of two modes; a forecast is that of the mixture it comes from."""
+    """One Gaussian distribution in each of two modes; a forecast is that of the mixture it comes
+    from."""
     with mp.workdps(100):
         a, q, h, r, A = (told[name] for name in "aqhrA")
         p, mean, var = (list(told[k]) for k in ("p", "mean0", "var0"))
@@ -79,7 +80,7 @@ def switching(**told):
             "probability 0": p[0],
             "probability 1": p[1],
             "loglik": relative(total, 1),
-            **law_values([first], matrix([[second]])),
+            **dist_values([first], matrix([[second]])),
         }
 
 

@@ -4,11 +4,11 @@ import mpmath as mp
 
 from references.errors import maximum_error, modulus_error, polynomial_error, sine_error
 from references.filters import corrected
-from references.high import Value, column, family, law_values, matrix
+from references.high import Value, column, dist_values, family, matrix
 from references.record import wave
 
 
-def matrix_law(found, name):
+def matrix_dist(found, name):
     """Entries, relative to the largest of the matrix."""
     scale = max(abs(found[i, j]) for i in range(found.rows) for j in range(found.cols))
     return {
@@ -44,7 +44,7 @@ def discretisation(drift, diffusion, step):
             for i in range(2)
             for j in range(i + 1)
         }
-        return {**matrix_law(move, "transition"), **spread}
+        return {**matrix_dist(move, "transition"), **spread}
 
 
 def hamiltonian(drift, diffusion, sensor, intensity):
@@ -67,7 +67,7 @@ def riccati(drift, diffusion, sensor, intensity):
         for j, k in enumerate(kept):
             upper[:, j], bottom[:, j] = vectors[:2, k], vectors[2:, k]
         cov = (bottom * upper**-1).apply(mp.re)
-        return {k: v for k, v in law_values(column([1, 1]), cov).items() if k.startswith("cov")}
+        return {k: v for k, v in dist_values(column([1, 1]), cov).items() if k.startswith("cov")}
 
 
 @family("Kalman-Bucy filter", "series")
@@ -90,7 +90,7 @@ def kalman_bucy(drift, diffusion, sensor, intensity, mean0, cov0, step):
             flow[:, 2] += push * lean
             cov = flow[2:, :2] * flow[:2, :2] ** -1
             mean = flow[2:, 2] - cov * flow[:2, 2]
-        return law_values(mean, cov)
+        return dist_values(mean, cov)
 
 
 @family("two-step estimator", "quadrature", sensitive=False)
@@ -106,14 +106,14 @@ def two_step(mean0, cov0, drift, diffusion, sensor, intensity, time):
         flow = power * start
         error = flow[2:, :] * flow[:2, :] ** -1
     error = (error + error.T) / 2
-    law = list(mean), cov.tolist(), error.tolist()
+    dist = list(mean), cov.tolist(), error.tolist()
     scalar = mean[0], cov[0, 0], error[0, 0]
-    product = polynomial_error(*law, powers=[[1, 1]])
+    product = polynomial_error(*dist, powers=[[1, 1]])
     found = {
         "product": {name: product[f"{name} x^1y^1"] for name in ("optimal", "plugin")},
         "sine": sine_error(*scalar),
         "modulus": modulus_error(*scalar),
-        "maximum": maximum_error(*law),
+        "maximum": maximum_error(*dist),
     }
     return {f"{f} {name}": v for f, told in found.items() for name, v in told.items()}
 
@@ -143,4 +143,4 @@ def designed(mean0, cov0, drift, diffusion, sensor, step, noise, memory):
                 inner[a, b] = (row * move ** (late - soon) * covs[soon] * row.T)[0]
             inner[a, a] += noise
         mean, cov, _ = corrected(means[-1], covs[-1], error, cross, inner)
-        return law_values(mean, cov)
+        return dist_values(mean, cov)

@@ -1,4 +1,5 @@
-"""References: Gaussian laws restricted to intervals, half-planes, quadrants and polygons."""
+"""References: Gaussian distributions restricted to intervals, half-planes, quadrants and
+polygons."""
 
 import mpmath as mp
 
@@ -9,9 +10,9 @@ from references.high import (
     below,
     column,
     density,
+    dist_values,
     family,
     integral,
-    law_values,
     matrix,
     relative,
 )
@@ -42,7 +43,7 @@ def interval(mean, var, lower, upper):
 
 @family("half-plane", "closed form")
 def half_plane(mean, cov, normal, offset):
-    """The law where ``normal . x + offset > 0``; the normal is made of whole numbers."""
+    """The distribution where ``normal . x + offset > 0``; the normal is made of whole numbers."""
     with mp.workdps(120):
         cov = matrix(cov)
         lean = cov * column(normal)
@@ -52,14 +53,14 @@ def half_plane(mean, cov, normal, offset):
         ratio = density(z) / below(z)
         first = column(mean) + lean * (ratio / s)
         second = cov - lean * lean.T * (ratio * (ratio + z) / var)
-        return {"log mass": relative(mp.log(below(z)), 1), **law_values(first, second)}
+        return {"log mass": relative(mp.log(below(z)), 1), **dist_values(first, second)}
 
 
 @family("polygon", "quadrature", sensitive=False)
 def polygon(mean, cov, vertices):
     """By the program of the polygon tests: Green's theorem with 90 digits."""
     log_mass, first, (a, b, c) = reference(mean, cov, vertices)
-    return {"log mass": relative(log_mass, 1), **law_values(first, matrix([[a, b], [b, c]]))}
+    return {"log mass": relative(log_mass, 1), **dist_values(first, matrix([[a, b], [b, c]]))}
 
 
 @family("bivariate normal", "quadrature")
@@ -74,7 +75,8 @@ def bivariate(h, k, rho):
 
 @family("quadrant", "closed form")
 def quadrant(rho):
-    """Of the tetrachoric law: both components positive, of deviation one and correlation rho."""
+    """Of the tetrachoric distribution: both components positive, of deviation one and correlation
+    rho."""
     with mp.workdps(90):
         mass = mp.acos(-rho) / (2 * mp.pi)
         first = (1 + rho) / (2 * mp.sqrt(2 * mp.pi) * mass)

@@ -83,11 +83,11 @@ def test_a_slow_autoregression_keeps_the_digits_of_a_small_error(noise):
 
 
 def test_nodes_are_doubled_until_the_spectra_are_resolved():
-    law = {"sensor": [1.0], "state_noise": [[1.0]], "sensor_noise": 1.0}
-    assert wiener_gain([[0.8]], **law).nodes == 512
-    coarse = wiener_gain([[0.8]], **law, nodes=256)
+    dist = {"sensor": [1.0], "state_noise": [[1.0]], "sensor_noise": 1.0}
+    assert wiener_gain([[0.8]], **dist).nodes == 512
+    coarse = wiener_gain([[0.8]], **dist, nodes=256)
     assert coarse.tail == pytest.approx(0.8**120, rel=0.01, abs=0.0)
     longer = np.zeros((41, 1, 1))
     longer[0] = 0.1
-    assert wiener_gain(longer[:20], **law, nodes=80).nodes == 80
-    assert wiener_gain(longer, **law).nodes == 1024
+    assert wiener_gain(longer[:20], **dist, nodes=80).nodes == 80
+    assert wiener_gain(longer, **dist).nodes == 1024

@@ -111,9 +111,9 @@ def test_a_run_is_the_two_steps_one_after_the_other(f):
     increments = PLANAR.simulate(GRID, 6, 1).increments.reshape(25, 2, 3, 2)
     run, first = ours.run(GRID, increments), kalman_bucy(PLANAR, GRID, increments)
     for k in range(26):
-        law = first.mean[k], first.cov[k]
-        np.testing.assert_allclose(run.mean[k], ours.estimate(*law), rtol=1e-11, atol=1e-13)
-        np.testing.assert_allclose(run.variance[k], ours.variance(*law), rtol=1e-10)
-        np.testing.assert_allclose(run.plugin[k], ours.plugin(law[0]), rtol=1e-11, atol=1e-13)
+        dist = first.mean[k], first.cov[k]
+        np.testing.assert_allclose(run.mean[k], ours.estimate(*dist), rtol=1e-11, atol=1e-13)
+        np.testing.assert_allclose(run.variance[k], ours.variance(*dist), rtol=1e-10)
+        np.testing.assert_allclose(run.plugin[k], ours.plugin(dist[0]), rtol=1e-11, atol=1e-13)
     alone = ours.run(GRID, increments[..., 1, 1])
     np.testing.assert_allclose(alone.mean, run.mean[..., 1, 1], rtol=1e-10)

@@ -1,4 +1,4 @@
-"""Linear diffusions: simulated paths with their exact law, moments and steady state."""
+"""Linear diffusions: simulated paths with their exact distribution, moments and steady state."""
 
 from itertools import pairwise
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from oracles.diffusion import constant_diffusion, filtered, start_law, transition
+from oracles.diffusion import constant_diffusion, filtered, start_dist, transition
 from seedslib.two_step import LinearDiffusion
 
 
@@ -14,7 +14,7 @@ def close(value, exact, tolerance=1e-9):
     np.testing.assert_allclose(value, exact, rtol=tolerance, atol=tolerance)
 
 
-def joint_law(system, times):
+def joint_dist(system, times):
     """Mean and covariance of (x_0, x_1, y_1 - y_0, x_2, ...) by the system of (x, y) together.
 
     The noise enters at the middle of 400 parts of each step.
@@ -48,7 +48,7 @@ def joint_law(system, times):
     return table[:, :n] @ first @ system.mean0, table @ cov @ table.T
 
 
-def test_states_and_increments_have_their_joint_law():
+def test_states_and_increments_have_their_joint_dist():
     """On a late and uneven grid."""
     system, times, paths = constant_diffusion(), [0.4, 0.9, 1.6], 60_000
     run = system.simulate(times, paths, 11)
@@ -58,7 +58,7 @@ def test_states_and_increments_have_their_joint_law():
     for k in range(2):
         drawn += [run.states[k + 1], run.increments[k]]
     drawn = np.concatenate(drawn)
-    mean, cov = joint_law(system, times)
+    mean, cov = joint_dist(system, times)
     spread = np.sqrt(np.diag(cov) / paths)
     assert (np.abs(drawn.mean(axis=1) - mean) < 4.5 * spread).all()
     error = np.sqrt((np.outer(np.diag(cov), np.diag(cov)) + cov**2) / paths)
@@ -80,7 +80,7 @@ def test_moments_against_their_differential_equations():
     system, times = constant_diffusion(), [0.05, 0.4, 1.3]
     moments = system.moments(times)
     for k, t in enumerate(times):
-        mean, cov = start_law(system, t)
+        mean, cov = start_dist(system, t)
         close(moments.mean[k], mean)
         close(moments.cov[k], cov)
         close(moments.error_cov[k], filtered(system, [0.0, t])[1][-1])
@@ -116,7 +116,7 @@ def test_a_parameter_without_dynamics():
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e20])
-def test_a_very_long_step_of_a_stable_system_reaches_the_stationary_law(unit):
+def test_a_very_long_step_of_a_stable_system_reaches_the_stationary_dist(unit):
     system = LinearDiffusion(-3.0, 2.0 * unit**2, 1.0, 1.0, [unit], unit**2)
     moments = system.moments([1e4])
     assert moments.mean[0, 0] == 0.0

@@ -1,4 +1,4 @@
-"""The systems of the papers: their formulas, written again, and laws of their paths."""
+"""The systems of the papers: their formulas, written again, and distributions of their paths."""
 
 import numpy as np
 import pytest

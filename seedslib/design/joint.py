@@ -108,9 +108,9 @@ def conditional(joint: np.ndarray) -> np.ndarray:
     taken there, so that the estimate uses the measurement alone.
     """
     mass, total = joint.sum(axis=1, keepdims=True), joint.sum(axis=0)
-    law = np.divide(joint, mass, out=np.zeros_like(joint), where=mass > NEGLIGIBLE)
-    law[mass[:, 0] <= NEGLIGIBLE] = total / total.sum()
-    return law
+    dist = np.divide(joint, mass, out=np.zeros_like(joint), where=mass > NEGLIGIBLE)
+    dist[mass[:, 0] <= NEGLIGIBLE] = total / total.sum()
+    return dist
 
 
 def mode_masses(joint: np.ndarray, likelihood: np.ndarray, modes: int) -> np.ndarray:
@@ -122,32 +122,34 @@ def mode_masses(joint: np.ndarray, likelihood: np.ndarray, modes: int) -> np.nda
     return np.stack([given @ block.T for given, block in pairs])
 
 
-def posterior_modes(law: np.ndarray, masses: np.ndarray) -> np.ndarray:
-    """P(i | y, u) of theorem 2 of the switching paper, (L, Y, C), from `mode_masses` of the law."""
+def posterior_modes(dist: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """P(i | y, u) of theorem 2 of the switching paper, (L, Y, C), from `mode_masses` of the
+    distribution.
+    """
     total, prob = masses.sum(axis=0), np.empty_like(masses)
-    prob[:] = law.reshape(len(law), len(masses), -1).sum(axis=2).T[:, None]
+    prob[:] = dist.reshape(len(dist), len(masses), -1).sum(axis=2).T[:, None]
     return np.divide(masses, total, out=prob, where=total > NEGLIGIBLE)
 
 
 def posterior_means(
-    values: np.ndarray, law: np.ndarray, relative: np.ndarray, mass: np.ndarray | None = None
+    values: np.ndarray, dist: np.ndarray, relative: np.ndarray, mass: np.ndarray | None = None
 ) -> np.ndarray:
     """f(y, u) = M[value | y, u] of theorem 1, (p, Y, C).
 
     Parameters
     ----------
     values : ndarray, shape (p, S)
-    law : ndarray, shape (C, S)
+    dist : ndarray, shape (C, S)
     relative : ndarray, shape (Y, S)
         Likelihood up to a factor that may depend on y.
     mass : ndarray, shape (Y, C), optional
-        ``relative @ law.T``, where it is known.
+        ``relative @ distribution.T``, where it is known.
     """
-    mass = relative @ law.T if mass is None else mass
+    mass = relative @ dist.T if mass is None else mass
     means = np.empty((len(values), *mass.shape))
     for mean, value in zip(means, values, strict=True):
-        mean[:] = law @ value
-        np.divide(relative @ (law * value).T, mass, out=mean, where=mass > NEGLIGIBLE)
+        mean[:] = dist @ value
+        np.divide(relative @ (dist * value).T, mass, out=mean, where=mass > NEGLIGIBLE)
     return means
 
 
@@ -222,13 +224,13 @@ def push_forward(
     step = max(1, CHUNK // (size * dropped))
     for tail in range(tails):
         block = slice(tail * dropped, (tail + 1) * dropped)
-        law, total = joint[block], np.zeros((blocks, size))
+        dist, total = joint[block], np.zeros((blocks, size))
         for a in range(0, len(likelihood), step):
             part = slice(a, a + step)
             used = happens[part, block].any(axis=0).nonzero()[0]
             if used.size == 0:
                 continue
-            events = (likelihood[part, None, :] * law[used]).reshape(-1, size)
+            events = (likelihood[part, None, :] * dist[used]).reshape(-1, size)
             below, up = lower[part, block][:, used].ravel(), share[part, block][:, used].ravel()
             targets = np.stack([below, np.minimum(below + 1, blocks - 1)], axis=1).ravel()
             weights = np.stack([1.0 - up, up], axis=1).ravel()
@@ -268,7 +270,7 @@ IMPROBABLE = 1e-15
 """Events of this probability or less are left out where a memory holds modes."""
 
 
-class JointLaw:
+class JointDistribution:
     """Joint distribution of state and memory on a grid, and the errors at each measurement.
 
     Parameters
@@ -363,9 +365,9 @@ class JointLaw:
         likelihood = likelihood_of(self.chain.log_likelihood(float(t), self.y_grid), self.weights)
         if self.chain.loses:  # given that it is still on the axis, whose ends are looked at
             self.joint /= self.joint.sum()
-        law = self.joint.sum(axis=0)
-        self._note(ENDS, self.chain.at_ends(law), t)
-        self._note(MISSED, float(law @ likelihood.defect), t)
+        dist = self.joint.sum(axis=0)
+        self._note(ENDS, self.chain.at_ends(dist), t)
+        self._note(MISSED, float(dist @ likelihood.defect), t)
         return likelihood
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
@@ -376,7 +378,7 @@ class JointLaw:
         relative : ndarray, shape (Y, S)
             Likelihood up to a factor that depends on the measurement.
         given : ndarray, shape (cells, S)
-            Law of the chain in each cell.
+            Distribution of the chain in each cell.
         """
         masses = mode_masses(given, relative, self.modes)
         means = posterior_means(self.values, given, relative, masses.sum(axis=0))
@@ -405,10 +407,10 @@ class JointLaw:
         """
         joint, estimate, x = self.joint, means[0], self.values[0]
         masses = mode_masses(joint, likelihood.mass, self.modes)
-        mass, law = masses.sum(axis=0), joint.sum(axis=0)
+        mass, dist = masses.sum(axis=0), joint.sum(axis=0)
         first = likelihood.mass @ (joint * x).T
-        mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
-        bias = np.vdot(estimate, mass) - law @ x
+        mse = dist @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
+        bias = np.vdot(estimate, mass) - dist @ x
         wrong = None
         if modes is not None:
             wrong = 1.0 - sum(part[modes == i].sum() for i, part in enumerate(masses))
@@ -442,8 +444,8 @@ class JointLaw:
 
     def move(self, start: float, stop: float) -> None:
         """Let the state move while the memory stays: (4.8)."""
-        law = self.joint.sum(axis=0)
-        loss = self.chain.loss(float(start), float(stop)) @ law / law.sum()
+        dist = self.joint.sum(axis=0)
+        loss = self.chain.loss(float(start), float(stop)) @ dist / dist.sum()
         self._note(LOST, float(loss), start)
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
