@@ -47,7 +47,7 @@ FAMILIES = {
     "order-2 filter": (BLUE, "--", "^"),
     "order-3 filter": (BLUE, "-.", "v"),
     "order-4 filter": (BLUE, ":", "x"),
-    "estimate filter": (BLUE, "-", "o"),
+    "order-": (BLUE, "-", "o"),
 }
 """Colour, dash and marker by what a filter's name says; the first that fits, longest first."""
 
