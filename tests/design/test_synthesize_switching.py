@@ -50,7 +50,7 @@ def density(rows, z):
     ("memory", "paths"), [(Memory(1), 3000), (Memory(1, 0, 1), 1200), (Memory(0, 1, 1), 1200)]
 )
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_fits_are_the_dists_of_state_and_memory_in_the_cells_of_the_design_paths(
+def test_fits_are_the_distributions_of_state_and_memory_in_the_cells_of_the_design_paths(
     system, memory, paths
 ):
     """Thin cells borrow from the modes of their cell, from their mode, and from everything."""
@@ -95,7 +95,7 @@ def test_fits_are_the_dists_of_state_and_memory_in_the_cells_of_the_design_paths
     assert (made.design.pooled, made.design.pairs) == (thin, pairs)
 
 
-def test_cells_from_moments_are_conditional_normal_dists():
+def test_cells_from_moments_are_conditional_normal_distributions():
     """A mode that never comes with a cell has the moments of the others."""
     root = np.array([[1.1, 0.0, 0.0], [0.4, 0.8, 0.0], [-0.5, 0.3, 0.6]])
     mean = np.array([[[0.3], [-0.4]], [[0.1], [0.5]], [[1.2], [0.7]]])

@@ -136,7 +136,7 @@ def close(estimates, dist, index=...):
         np.testing.assert_allclose(estimates.mode_prob[index], dist[2], rtol=1e-11)
 
 
-def test_run_equals_the_exact_dist(case):
+def test_run_equals_the_exact_distribution(case):
     estimates = case.filter.run(case.times, case.y, inputs=case.inputs, **case.options)
     for k in range(len(case.times)):
         close(estimates, case.dist(k, k), k)
@@ -144,7 +144,7 @@ def test_run_equals_the_exact_dist(case):
     assert not estimates.diverged
 
 
-def test_steps_and_forecasts_equal_the_exact_dist(case):
+def test_steps_and_forecasts_equal_the_exact_distribution(case):
     """The inputs that act in a forecast are those of the time it leaves."""
     state = case.filter.initial(**case.told(0)[1])
     for k, t in enumerate(case.times):
@@ -160,7 +160,7 @@ def test_steps_and_forecasts_equal_the_exact_dist(case):
         np.testing.assert_allclose(estimate.loglik, case.logliks[k], rtol=1e-10, atol=1e-12)
 
 
-def test_two_forecasts_in_a_row_equal_the_exact_dist(case):
+def test_two_forecasts_in_a_row_equal_the_exact_distribution(case):
     state = case.filter.initial(**case.told(0)[1])
     for k in range(2):
         shown, mode = case.told(k)

@@ -86,7 +86,7 @@ def test_random_intervals_against_many_digits():
             assert_exact(interval(*case), case)
 
 
-def test_intervals_of_a_partition_sum_to_the_dist():
+def test_intervals_of_a_partition_sum_to_the_distribution():
     """Mass, first and second moment, the latter about a point."""
     rng = np.random.default_rng(1)
     edges = np.concatenate([[-INF], np.sort(rng.normal(size=30) * 3), [INF]])

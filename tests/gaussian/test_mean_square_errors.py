@@ -153,7 +153,7 @@ def test_errors_of_a_maximum_and_a_sign_are_the_closed_ones():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 6])
-def test_norm_without_information_has_the_variance_of_the_chi_dist(n):
+def test_norm_without_information_has_the_variance_of_the_chi_distribution(n):
     symbols = sp.symbols(f"u:{n}")
     errors = mean_square_errors(sp.sqrt(sum(s**2 for s in symbols)), symbols)
     found = errors(np.zeros(n), 2 * np.eye(n), 2 * np.eye(n))
@@ -221,7 +221,7 @@ def test_errors_of_both_sides_of_a_plane_at_once():
 
 
 @pytest.mark.parametrize("f", [sp.Integer(3), *ALL], ids=str)
-def test_errors_of_degenerate_dists(f):
+def test_errors_of_degenerate_distributions(f):
     errors, variance, estimate = derived(f)
     zero = np.zeros((2, 2))
     for mean in ([0.0, 0.0], [0.3, -0.7]):

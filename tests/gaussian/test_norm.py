@@ -24,13 +24,13 @@ def test_norm_mean_in_the_plane_and_in_space_by_special_functions():
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 30])
-def test_norm_mean_of_an_isotropic_dist(n):
+def test_norm_mean_of_an_isotropic_distribution(n):
     length = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2))
     exact = np.sqrt(2) * 1.5 * length * hyp1f1(-0.5, n / 2, -n * 0.16 / (2 * 1.5**2))
     assert norm_mean(np.full(n, 0.4), 2.25 * np.eye(n)) == pytest.approx(exact, rel=1e-13)
 
 
-def test_norm_mean_of_degenerate_dists():
+def test_norm_mean_of_degenerate_distributions():
     zero = np.zeros((2, 2))
     assert norm_mean([0, 0], zero) == 0.0
     assert norm_mean([3, 4], zero) == pytest.approx(5.0, rel=2e-15)

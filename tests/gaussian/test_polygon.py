@@ -78,8 +78,8 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("distribution", LAWS)
-def test_cells_of_a_partition_of_the_plane_sum_to_the_dist(dist):
+@pytest.mark.parametrize("dist", LAWS)
+def test_cells_of_a_partition_of_the_plane_sum_to_the_distribution(dist):
     rng = np.random.default_rng(11)
     cov = LAWS[dist]
     for sectors in (3, 4, 5, 8):
@@ -137,7 +137,7 @@ def test_first_vertex_orientation_and_padding_do_not_matter():
         np.testing.assert_allclose(other.cov, one.cov, atol=1e-14)
 
 
-def test_batches_of_dists_and_padded_regions_equal_single_calls():
+def test_batches_of_distributions_and_padded_regions_equal_single_calls():
     rng = np.random.default_rng(7)
     tables = [SQUARE, CHEVRON, box(4, 5, -1, 1)]
     regions = pad_regions(tables)
@@ -192,7 +192,7 @@ def sliced(mean, direction, vertices):
 
 
 @pytest.mark.parametrize("direction", [(1.2, -0.5), (0.3, 2.0), (1.0, 0.0), (0.0, 0.7)])
-def test_dist_on_a_line_is_a_sum_of_intervals(direction):
+def test_distribution_on_a_line_is_a_sum_of_intervals(direction):
     comb = np.array(KNOWN["comb"]["vertices"], dtype=float)
     direction = np.array(direction)
     for mean in ([1.3, 2.1], [2.7, 0.4], [-9.0, 3.1], [2.2, 13.0]):
@@ -214,7 +214,7 @@ def test_dist_on_a_line_is_a_sum_of_intervals(direction):
     np.testing.assert_allclose(tail.cov, np.full((2, 2), line.cov), rtol=1e-13)
 
 
-def test_dist_on_a_line_over_unbounded_regions():
+def test_distribution_on_a_line_over_unbounded_regions():
     cov = np.ones((2, 2))
     found = polygon([0.3, 0.4], cov, [[0.0, 0.0]], rays=[[0, 1], [1, 0]])
     np.testing.assert_allclose(found.mass, interval(0.3, 1.0, 0.0, np.inf).mass, rtol=1e-13)

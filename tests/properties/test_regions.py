@@ -24,7 +24,7 @@ def mixed(parts, axis):
 
 
 @given(EIGHTHS, st.integers(1, 60).map(lambda k: k / 8), ENDS)
-def test_parts_of_the_line_make_the_dist(mean, var, ends):
+def test_parts_of_the_line_make_the_distribution(mean, var, ends):
     ends = np.array([-np.inf, *ends, np.inf])
     total, whole, spread = mixed(interval(mean, var, ends[:-1], ends[1:]), 0)
     np.testing.assert_allclose([total, whole, spread], [1, mean, var], rtol=1e-12, atol=1e-12)

@@ -48,7 +48,7 @@ def joint_dist(system, times):
     return table[:, :n] @ first @ system.mean0, table @ cov @ table.T
 
 
-def test_states_and_increments_have_their_joint_dist():
+def test_states_and_increments_have_their_joint_distribution():
     """On a late and uneven grid."""
     system, times, paths = constant_diffusion(), [0.4, 0.9, 1.6], 60_000
     run = system.simulate(times, paths, 11)
@@ -116,7 +116,7 @@ def test_a_parameter_without_dynamics():
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e20])
-def test_a_very_long_step_of_a_stable_system_reaches_the_stationary_dist(unit):
+def test_a_very_long_step_of_a_stable_system_reaches_the_stationary_distribution(unit):
     system = LinearDiffusion(-3.0, 2.0 * unit**2, 1.0, 1.0, [unit], unit**2)
     moments = system.moments([1e4])
     assert moments.mean[0, 0] == 0.0
