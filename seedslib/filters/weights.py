@@ -80,7 +80,7 @@ class Mixture(NamedTuple):
 
 
 def mix(mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Mixture:
-    """Moments of a mixture by the distribution of total covariance, in centred form.
+    """Moments of a mixture by the law of total covariance, in centred form.
 
     No digits are lost far from the origin.
 
