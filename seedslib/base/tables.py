@@ -52,7 +52,10 @@ class Axis:
             raise TypeError(
                 f"{name}: wanted an Axis or (low, high, count), got {brief(given)}"
             ) from None
-        return cls(low, high, count)
+        try:
+            return cls(low, high, count)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{name}: {error}") from None
 
     @cached_property
     def nodes(self) -> np.ndarray:

@@ -21,9 +21,6 @@ from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
 
-AT_ONCE = 1 << 16
-"""Points at which a function is evaluated together."""
-
 
 def simulated_synthesis(
     system: AnySystem,

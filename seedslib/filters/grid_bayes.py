@@ -270,7 +270,7 @@ class GridSmoother(Smoother):
         joint = np.exp(state.log_prob)[:, None] * state.node_prob
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
+    def back(self, state: Any, later: Any, link: Any) -> Any:
         """See `Smoother.back`."""
         now = self.last(state)
         predicted = link @ now

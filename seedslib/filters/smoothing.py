@@ -12,7 +12,7 @@ from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.conditioning import kalman_gain
 from seedslib.base.linalg import solve_psd, symmetrized
-from seedslib.base.values import Inputs, Values
+from seedslib.base.values import Inputs
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
 from seedslib.filters.covariance import FilterState
 
@@ -70,13 +70,7 @@ def smooth(
 
     def work(record: Record, stream: object) -> Estimates:
         states, links = smoother.forward(record)
-        last, times = len(states) - 1, record.times
-
-        def back(k: int, later: Any) -> Any:
-            """The smoothed state at time k from that at the next."""
-            p = filter.values(record.inputs.at(k), times[k + 1] - times[k])
-            return smoother.back(states[k], later, links[k + 1], p)
-
+        last = len(states) - 1
         smoothed: list[Any] = []  # from the last time to the first
         for k in range(last, -1, -1):
             if lag is None and smoothed:
@@ -85,14 +79,14 @@ def smooth(
                 end = last if lag is None else min(k + lag, last)
                 now = smoother.last(states[end])
             for j in range(end - 1, k - 1, -1):
-                now = back(j, now)
+                now = smoother.back(states[j], now, links[j + 1])
             smoothed.append(now)
         filtered = (filter.report(state) for state in states)
         reports = (
             smoother.report(now)._replace(loglik=report.loglik, diverged=report.diverged)
             for now, report in zip(reversed(smoothed), filtered, strict=True)
         )
-        return stacked(reports, len(times))
+        return stacked(reports, len(states))
 
     return filter.in_blocks(work, record, batch)
 
@@ -134,7 +128,7 @@ class Smoother:
         """Smoothed state at the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
+    def back(self, state: Any, later: Any, link: Any) -> Any:
         """Smoothed state at the time of a state, from that at the next time.
 
         Parameters
@@ -145,8 +139,6 @@ class Smoother:
             Smoothed state at the next time.
         link : object
             From `forecast` of the step between them.
-        p : tuple
-            Numbers of the parameters in that step.
         """
         raise NotImplementedError
 
@@ -217,7 +209,7 @@ class RauchTungStriebel(Smoother):
         """See `Smoother.last`."""
         return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
-    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
+    def back(self, state: Any, later: Any, link: Any) -> Any:
         """See `Smoother.back`."""
         settled, *forecast = link
         cov = align(settled.cov, 2, settled.mean.ndim - 1)

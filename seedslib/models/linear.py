@@ -402,7 +402,8 @@ class Discretised:
         """Transition, noise, and the integral of the transition, with axes (*batch) of numbers."""
         if self.step is None:
             given = (*given[:-1], float(lengths_alike(given[-1])))
-        key = tuple(np.asarray(number).tobytes() for number in given)
+        arrays = [np.asarray(number, dtype=float) for number in given]
+        key = tuple((array.shape, array.tobytes()) for array in arrays)
         known = self._known.get(key)
         if known is None:
             if len(self._known) >= STORED:

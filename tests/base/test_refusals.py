@@ -57,6 +57,7 @@ ROWS = [
     (lambda: interpolate(np.zeros((1, 4)), [AXIS], [0.5]), ValueError, "table"),
     (lambda: interpolate(np.zeros((1, 3)), [AXIS], []), ValueError, "points"),
     (lambda: grid_chain(flow(), 5), TypeError, "axes"),
+    (lambda: grid_chain(flow(), (1, 0, 5)), ValueError, "axes: low, high"),
     (lambda: Noise([V, K], cov=[[1, 0.5], [0.4, 1]]), ValueError, "cov"),
     (
         lambda: LinearDiffusion(-np.eye(2), np.eye(2), np.eye(2), np.eye(3), [0, 0], np.eye(2)),

@@ -95,6 +95,26 @@ def test_fits_are_the_distributions_of_state_and_memory_in_the_cells_of_the_desi
     assert (made.design.pooled, made.design.pairs) == (thin, pairs)
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_design_moves_with_the_dynamics_of_the_time_that_a_step_leaves():
+    """Its errors on its own paths are those of a run, where the dynamics change with time."""
+    push = 3 * sympy.sin(2 * t)
+    system = SwitchingSystem(
+        (x,),
+        [[x / 2 + push + v], [x / 3 - push + v]],
+        Noise((v,)),
+        [[0.8, 0.2], [0.3, 0.7]],
+        [[x + r], [x + 2 * r]],
+        Noise((r,)),
+        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[1.0]])],
+    )
+    made = synthesize(system, Memory(1), ExactGaussian(), range(4), paths=1200, seed=5)
+    data = system.simulate(range(4), 1200, 5)
+    found = made.run(data.times, data.measurements)
+    square = (found.mean - data.states) ** 2
+    np.testing.assert_allclose(made.predicted.rms, np.sqrt(square.mean(axis=2)), rtol=1e-9)
+
+
 def test_cells_from_moments_are_conditional_normal_distributions():
     """A mode that never comes with a cell has the moments of the others."""
     root = np.array([[1.1, 0.0, 0.0], [0.4, 0.8, 0.0], [-0.5, 0.3, 0.6]])

@@ -8,6 +8,7 @@ import pytest
 import sympy as sp
 
 from oracles.linear import Linear, Regression, discretised, kalman, moments
+from seedslib.base import ELAPSED, Input
 from seedslib.filters import (
     CovarianceFilter,
     KalmanFilter,
@@ -18,7 +19,7 @@ from seedslib.filters import (
     unscented_kalman,
 )
 from seedslib.linearization import GaussHermite
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, JumpDiffusion, LinearSystem, Noise, StochasticMap
 from systems import (
     EVEN,
     INPUTS,
@@ -78,6 +79,29 @@ def test_smoothing_equals_regression(name):
     for a, b in zip(folded, whole, strict=True):
         if b is not None:
             np.testing.assert_allclose(a, b.reshape(a.shape), atol=1e-12)
+
+
+def test_steps_of_one_record_have_their_own_inputs_and_lengths():
+    """All at once, as one by one in a batch, where each step differs by them alone."""
+    u, dt = Input("u"), ELAPSED
+    system = LinearSystem(
+        [[1, dt], [0, sp.exp(-dt / 3)]],
+        [[dt / 5, 0], [0, dt]],
+        [[1, 0]],
+        [[0.3]],
+        [0.5, -1.0],
+        np.eye(2),
+        b=[u * dt, u],
+    )
+    assert system.dynamics.timeless
+    times, rng = np.array([0.0, 0.3, 1.5, 1.7, 3.2, 3.3]), np.random.default_rng(3)
+    y, pushes = rng.standard_normal((6, 1)), rng.standard_normal(6)
+    y[2] = np.nan
+    filter = KalmanFilter(system)
+    one = smooth(filter, times, y, inputs={u: pushes})
+    two = smooth(filter, times, np.stack([y, y], axis=-1), inputs={u: pushes})
+    np.testing.assert_allclose(one.mean, two.mean[..., 0], atol=1e-12)
+    np.testing.assert_allclose(one.cov, two.cov, atol=1e-12)
 
 
 def test_smoothed_covariance_common_to_all_records_is_given_once():

@@ -9,7 +9,7 @@ from scipy.integrate import quad_vec, solve_ivp
 from scipy.linalg import expm
 
 from oracles.linear import Regression
-from seedslib.base import ELAPSED, Input
+from seedslib.base import ELAPSED, Input, Parameter
 from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
 from seedslib.models.linear import _integral, stepped
@@ -113,6 +113,15 @@ def test_steps_of_one_length_but_for_rounding_are_discretised_once(monkeypatch):
     system = LinearSystem.from_continuous(-0.5, 1, 1, 1, 0, 1, step=None, b=[0.3])
     KalmanFilter(system).run(np.cumsum(lengths), np.zeros((300, 1)))
     assert sorted(made) == pytest.approx([0.1, 0.1, 0.2, 0.2, 0.7, 0.7], rel=1e-11)
+
+
+def test_numbers_of_records_in_another_shape_are_discretised_in_that_shape():
+    q = Parameter("q", 1.0)
+    system = LinearSystem.from_continuous([[q]], [[1.0]], 1, 1, 0, 1, step=1.0)
+    for numbers in (np.array([0.1, 0.2]), np.array([[0.1], [0.2]])):
+        bound = system.bind(q=numbers)
+        slope = bound.dynamics.slope_at(0.0, bound.values())
+        np.testing.assert_allclose(slope[0, 0], np.exp(numbers), rtol=1e-13)
 
 
 def growing(t):
