@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import as_count, optional
 from seedslib.filters.base import Estimates
 
-COLOURS = "#0042b4", "#ca8100", "#0ba86c", "#9e2b78", "#4798e3", "#5f3200", "#111111"
+COLOURS = "#0042b4", "#a85400", "#007a5e", "#9e2b78", "#2b7bba", "#5f3200", "#111111"
 DASHES = "-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3))
 
 

@@ -238,7 +238,7 @@ def test_surface_of_the_design_is_the_best_function():
 def test_errors_of_the_memories_are_those_of_the_tables():
     """As the chapters print them: root-mean-square errors of the switching systems, squared."""
     oscillator, scalar, target = data_of("memory")["systems"]
-    text = (live.BOOK.parent / "notebooks" / "jump_diffusion_beyond.ipynb").read_text()
+    text = (live.BOOK.parent / "notebooks" / "lines_and_tables.ipynb").read_text()
     for l, row in enumerate(("1", "2", "3", "4"), 1):
         printed = re.search(rf'"{row} +\d\.\d+ +(\S+) +\d\.\d+ +([\d.]+)\\n"', text).groups()
         for letter, value in zip("ey", printed, strict=True):

@@ -37,8 +37,8 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(capsys):
 
 def test_programs_have_the_lines_of_their_page(tmp_path):
     programs.write(ROOT, tmp_path / "programs")
-    page = (ROOT / "notebooks" / "field_nile.md").read_text().splitlines()
-    lines = (tmp_path / "programs" / "field_nile.py").read_text().splitlines()
+    page = (ROOT / "notebooks" / "first_filter.md").read_text().splitlines()
+    lines = (tmp_path / "programs" / "first_filter.py").read_text().splitlines()
     code = [(k, line) for k, line in enumerate(lines) if line]
     assert len(code) > 20
     assert [line for k, line in code if page[k] != line] == []
