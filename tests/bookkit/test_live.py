@@ -252,10 +252,12 @@ def test_errors_of_the_memories_are_those_of_the_tables():
 
 
 WIDE = """<link rel="stylesheet" href="../_static/claims.css">
+<style>:root { --pst-color-background: #fff; }</style>
 <mjx-container display="true" style="display: block"><p style="width: 700px">x</p></mjx-container>
 <div class="pst-scrollable-table-container"><p style="width: 700px">x</p></div>"""
 SHADOWS = """[...document.querySelectorAll("mjx-container, .pst-scrollable-table-container")].map(
-  (e) => [e.scrollWidth, e.clientWidth, getComputedStyle(e).overflowX, getComputedStyle(e).backgroundAttachment])"""
+  (e) => [e, getComputedStyle(e)]).map(
+  ([e, s]) => [e.scrollWidth, e.clientWidth, s.overflowX, s.backgroundAttachment])"""
 
 HANDLES = {"flip": 5, "square": 0, "body": 0, "design": 0, "memory": 8}
 """The handle that is dragged, and then moved by a key."""
