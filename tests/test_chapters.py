@@ -61,7 +61,7 @@ def prose(text):
         text,
         flags=re.S,
     )
-    return re.sub(r"(?m)^:\w+:.*$", "", text)
+    return " ".join(re.sub(r"(?m)^:\w+:.*$", "", text).split())
 
 
 def test_the_contents_are_a_book_a_record_and_a_library():
