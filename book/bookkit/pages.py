@@ -40,6 +40,7 @@ def substitutions(root: Path) -> dict[str, Any]:
         name = group.replace("-", "_")
         result[f"verdicts__{name}"] = paper_counts(own)
         result[f"findings__{name}"] = counts(c for c in own if c.origin == "ours")
+        result[f"errata__{name}"] = errata(own)
     return result
 
 
@@ -55,6 +56,19 @@ def paper_counts(claims: Iterable[Claim]) -> str:
     said = counts(c for c in claims if c.origin in ("stated", "restored"))
     implied = counts(c for c in claims if c.origin == "implied")
     return f"{said}; of what it only implies {implied}" if implied else said
+
+
+def errata(claims: Iterable[Claim]) -> str:
+    """What a paper says that is not reproduced, as a table in MyST text."""
+    lines = ["| place | the paper says | verdict |", "|---|---|---|"]
+    for claim in claims:
+        if claim.origin != "ours" and claim.verdict != "reproduced":
+            said = " ".join(claim.statement.split()).replace("|", r"\|")
+            if claim.corrected_formula:
+                said += f" Right: {claim.corrected_formula}.".replace("|", r"\|")
+            link = f'<a href="../{claim.notebook.removesuffix(".md")}.html#{claim.id}">{claim.id}</a>'
+            lines.append(f"| {claim.place} | {said} | {claim.verdict}, {link} |")
+    return "\n".join(lines)
 
 
 def claims_page(root: Path) -> str:
