@@ -251,6 +251,14 @@ def test_errors_of_the_memories_are_those_of_the_tables():
     assert "e1 y1" not in scalar["found"] | target["found"] | oscillator["found"]
 
 
+WIDE = """<link rel="stylesheet" href="../_static/claims.css">
+<style>:root { --pst-color-background: #fff; }</style>
+<mjx-container display="true" style="display: block"><p style="width: 700px">x</p></mjx-container>
+<div class="pst-scrollable-table-container"><p style="width: 700px">x</p></div>"""
+SHADOWS = """[...document.querySelectorAll("mjx-container, .pst-scrollable-table-container")].map(
+  (e) => [e, getComputedStyle(e)]).map(
+  ([e, s]) => [e.scrollWidth, e.clientWidth, s.overflowX, s.backgroundAttachment])"""
+
 HANDLES = {"flip": 5, "square": 0, "body": 0, "design": 0, "memory": 8}
 """The handle that is dragged, and then moved by a key."""
 
@@ -266,18 +274,19 @@ def answers(tmp_path_factory):
     page = folder / "book" / "page.html"
     pictures = "".join(path.read_text() for path in PATHS.values())
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-    page.write_text(f"<!doctype html><html><head>{head}</head><body>{pictures}</body></html>")
+    page.write_text(f"<!doctype html><html><head>{head}</head><body>{pictures}{WIDE}</body></html>")
     here = Path(__file__).parent
     steps = [(here / "drag.js").read_text() + "; 0"]
     for name, handle in HANDLES.items():
         down = 10 if name == "memory" else -4  # into the memory, which lies below
         steps += [{"from": f"watch('live-{name}', {handle})", "by": [2, down]}]
         steps += [f"read('live-{name}', {handle})"]
+    steps.append(SHADOWS)
     told = json.dumps({"url": page.as_uri(), "width": 390, "height": 800, "steps": steps})
     command = [NODE, here / "chromium.js", CHROMIUM]
     done = subprocess.run(command, input=told, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    return dict(zip(HANDLES, json.loads(done.stdout)[1:], strict=True))
+    return dict(zip([*HANDLES, "wide"], json.loads(done.stdout)[1:], strict=True))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
@@ -292,3 +301,13 @@ def test_a_drag_is_answered_at_once(name, answers):
     assert found["wide"] <= 390
     assert found["ids"] == found["different"]
     assert found["least"] >= 12  # pixels: nine points
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_a_wide_equation_or_table_scrolls_and_a_shadow_says_so(answers):
+    assert len(answers["wide"]) == 2
+    for whole, shown, overflow, ground in answers["wide"]:
+        assert whole > shown
+        assert overflow == "auto"
+        assert "local" in ground
+        assert "scroll" in ground
