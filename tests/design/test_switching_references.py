@@ -7,6 +7,7 @@ compared here with short programs on paths of their own: `oracles/exact_switchin
 
 import csv
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -134,7 +135,7 @@ def filter_of(name, label):
     if label in ("AOF-G", "IMM", "IMM-EKF", "known modes"):
         return Filter(system, linear=label == "IMM-EKF")
     parts = label.split()
-    kind, order = next((p, int(q)) for p, q in zip(parts, parts[1:], strict=False) if q.isdigit())
+    kind, order = next((p, int(q)) for p, q in pairwise(parts) if q.isdigit())
     counts = (0, order) if kind.startswith("FKP") else (order, 0)
     heard = label.endswith("with indicator")
     return Filter(system, *counts, "soft" in label, heard, linear=kind.endswith("-L"))
@@ -206,7 +207,7 @@ def lines(id):
         told = bool(wanted) and float(row["value"]) == wanted[0]
         found.append((row, ours.pop(0) if told else None))
         wanted = wanted[1:] if told else wanted
-    assert not wanted and not ours, f"{id}: lines that no number of the ledger belongs to"
+    assert not wanted + ours, f"{id}: numbers of the ledger that no line belongs to"
     return found
 
 

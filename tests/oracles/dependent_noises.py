@@ -50,7 +50,7 @@ def simulated(steps, paths, seed):
 
 
 def split(parts):
-    """Chances, means, variances (2, 2, paths) of mode and indicator from moments of order 0 to 2."""
+    """Chances, means, variances (2, 2, paths) by mode and indicator, from moments 0 to 2."""
     mass, first, second = parts
     mean = first / mass
     return mass, mean, np.maximum(second / mass - mean**2, LEAST)

@@ -247,7 +247,7 @@ class Filter:
     fits: tuple = ()
 
     def run(self, data, design=False):
-        """Decided modes (steps, paths), estimates (steps, n, paths), and the fits where designed."""
+        """Decided modes (steps, paths), estimates (steps, n, paths), fits where designed."""
         modes, states, measured, tells = data
         system, fits = self.system, list(self.fits)
         paths = len(modes[0])
