@@ -136,7 +136,7 @@ def update(
         new_mean[k] = component
     new_cov = None if cov is None else _filled(lists[1], cov_full)
 
-    terms.append(_log_product(pivots, depth))
+    terms.append(_log_product(pivots))
     count = len(pivots) - missing
     for j, (left_out, variance) in reciprocals.redundant.items():
         count = count - left_out
@@ -224,12 +224,11 @@ def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
     return np.where(observed & observed[:, None], cov, identity)
 
 
-def _log_product(pivots: list[Any], depth: int) -> Any:
+def _log_product(pivots: list[Any]) -> Any:
     """Logarithm of the determinant: one of the product of the pivots where that is a number."""
-    if depth:
-        with np.errstate(over="ignore"):
-            product = reduce(mul, pivots, 1.0)
-    else:
+    if len(pivots) == 1:
+        return np.log(pivots[0])
+    with np.errstate(over="ignore"):
         product = reduce(mul, pivots, 1.0)
     if np.all((product > ABSOLUTE) & (product < np.inf)):
         return np.log(product)
