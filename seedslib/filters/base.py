@@ -288,7 +288,7 @@ def walk(
         indicator = () if record.indicators is None else (record.indicators[k],)
         # inputs of a time act in the dynamics from there on, and in the sensor at that time
         state = predict(state, t, *mode, inputs=record.inputs.at(max(k - 1, 0)))
-        state = filter.update(state, record.y[k], filter.values(record.inputs.at(k)), *indicator)
+        state = filter.correct(state, record.y[k], *indicator, inputs=record.inputs.at(k))
         yield state
 
 
