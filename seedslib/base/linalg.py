@@ -224,9 +224,11 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
             root = np.sqrt(pivot)
             inverse = 1.0 / root
         else:
-            if scale is None and (raised := _with_least_variances(P)) is not None:
-                return cholesky(raised, np.abs(variances(raised)))
-            broken = ~(pivot >= -INDEFINITE * (variance if scale is None else scale[j]))
+            if scale is None:
+                if (raised := _with_least_variances(P)) is not None:
+                    return cholesky(raised, np.abs(variances(raised)))
+                scale = np.abs(variances(P))
+            broken = ~(pivot >= -INDEFINITE * scale[j])
             root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
             inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
         L[j, j] = root
