@@ -125,16 +125,20 @@ def update(
             missing = len(some) - some.sum(axis=0)
             cov_batch = batch_shape(cov_batch, observed.shape[1:])
 
-    given = mean, cov, innovation, cross, innovation_cov
+    # for few items whole rows of covariances are quicker than components
+    by_rows = cov is not None and depth > 0 and math.prod(cov_batch) < len(cov) ** 2
+    given = mean, None if by_rows else cov, innovation, cross, innovation_cov
     lists = [None if part is None else _components(part, depth) for part in given]
-    prior = [] if cov is None else [row[k] for k, row in enumerate(lists[1])]
     reciprocals = Reciprocals(depth > 0)
     terms, pivots = eliminate(*lists, reciprocals)
     full, cov_full = ((1,) * (depth - len(axes)) + axes for axes in (batch, cov_batch))
     new_mean = np.empty((len(mean), *full))
     for k, component in enumerate(lists[0]):
         new_mean[k] = component
-    new_cov = None if cov is None else _filled(lists[1], cov_full)
+    if by_rows:
+        new_cov = _corrected(cov, lists[3], reciprocals.inverses, cov_full)
+    else:
+        new_cov = None if cov is None else _filled(lists[1], cov_full)
 
     terms.append(_log_product(pivots))
     count = len(pivots) - missing
@@ -149,7 +153,7 @@ def update(
     loglik[...] = -0.5 * reduce(add, terms)
 
     if noise is not None and cov is not None and len(innovation):
-        narrow = reduce(or_, [row[k] < WIDE * prior[k] for k, row in enumerate(lists[1])])
+        narrow = reduce(or_, [new_cov[k, k] < WIDE * cov[k, k] for k in range(len(cov))])
         if np.any(narrow):
             R = align(np.asarray(noise(), dtype=float), 2, depth)
             R = R if observed.all() else _without_missing(R, observed)
@@ -208,6 +212,23 @@ def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
     for k, row in enumerate(lower):
         for q in range(k + 1):
             full[k, q] = full[q, k] = row[q]
+    return full
+
+
+def _corrected(
+    cov: np.ndarray, cross: list[list[Any]], inverses: list[Any], batch: tuple[int, ...]
+) -> np.ndarray:
+    """P - C S⁻¹ Cᵀ by rows, of what `eliminate` makes of C and of the pivots of S."""
+    full, column = np.empty((*cov.shape[:2], *batch)), np.empty((len(cov), *batch))
+    full[...] = cov
+    for j, inverse in enumerate(inverses):
+        for k, row in enumerate(cross):
+            column[k] = row[j]
+        gain = column * inverse
+        for k in range(len(cov)):
+            full[k, : k + 1] -= gain[k] * column[: k + 1]
+    for k in range(1, len(cov)):
+        full[:k, k] = full[k, :k]
     return full
 
 
