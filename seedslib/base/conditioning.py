@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import reduce
-from operator import add, mul, or_
+from operator import add, mul
 from typing import Any
 
 import numpy as np
@@ -125,9 +125,9 @@ def update(
             missing = len(some) - some.sum(axis=0)
             cov_batch = batch_shape(cov_batch, observed.shape[1:])
 
-    # for few items whole rows of covariances are quicker than components
-    by_rows = cov is not None and depth > 0 and math.prod(cov_batch) < len(cov) ** 2
-    given = mean, None if by_rows else cov, innovation, cross, innovation_cov
+    # for few items whole covariances are quicker than components
+    whole = cov is not None and depth > 0 and math.prod(cov_batch) < len(cov) ** 2
+    given = mean, None if whole else cov, innovation, cross, innovation_cov
     lists = [None if part is None else _components(part, depth) for part in given]
     reciprocals = Reciprocals(depth > 0)
     terms, pivots = eliminate(*lists, reciprocals)
@@ -135,7 +135,7 @@ def update(
     new_mean = np.empty((len(mean), *full))
     for k, component in enumerate(lists[0]):
         new_mean[k] = component
-    if by_rows:
+    if whole:
         new_cov = _corrected(cov, lists[3], reciprocals.inverses, cov_full)
     else:
         new_cov = None if cov is None else _filled(lists[1], cov_full)
@@ -153,7 +153,7 @@ def update(
     loglik[...] = -0.5 * reduce(add, terms)
 
     if noise is not None and cov is not None and len(innovation):
-        narrow = reduce(or_, [new_cov[k, k] < WIDE * cov[k, k] for k in range(len(cov))])
+        narrow = (variances(new_cov) < WIDE * variances(cov)).any(axis=0)
         if np.any(narrow):
             R = align(np.asarray(noise(), dtype=float), 2, depth)
             R = R if observed.all() else _without_missing(R, observed)
@@ -218,15 +218,13 @@ def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
 def _corrected(
     cov: np.ndarray, cross: list[list[Any]], inverses: list[Any], batch: tuple[int, ...]
 ) -> np.ndarray:
-    """P - C S⁻¹ Cᵀ by rows, of what `eliminate` makes of C and of the pivots of S."""
+    """P - C S⁻¹ Cᵀ at once, of what `eliminate` makes of C and of the pivots of S."""
     full, column = np.empty((*cov.shape[:2], *batch)), np.empty((len(cov), *batch))
     full[...] = cov
     for j, inverse in enumerate(inverses):
         for k, row in enumerate(cross):
             column[k] = row[j]
-        gain = column * inverse
-        for k in range(len(cov)):
-            full[k, : k + 1] -= gain[k] * column[: k + 1]
+        full -= (column * inverse)[:, None] * column
     for k in range(1, len(cov)):
         full[:k, k] = full[k, :k]
     return full

@@ -155,6 +155,8 @@ class KalmanFilter(CovarianceFilter):
         """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
             return super().update(state, y, p)
+        if np.isnan(y).all():
+            return state._replace(loglik=np.zeros(y.shape[1:]))
         corrected = super().update(FilterState(*state[:5]), y, p)  # given that d is zero
         expected, cross, S = self.expected(state, p)
         depth = state.mean.ndim - 1
