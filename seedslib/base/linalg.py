@@ -129,13 +129,15 @@ class Reciprocals:
 
     Attributes
     ----------
+    inverses : list
+        Those of the pivots so far.
     redundant : dict
         Components that are redundant somewhere: where, and their variances.
     """
 
     def __init__(self, batched: bool) -> None:
         self.everywhere: Callable[[Any], bool] = np.ndarray.all if batched else bool
-        self.count = 0
+        self.inverses: list[Any] = []
         self.redundant: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
@@ -144,11 +146,11 @@ class Reciprocals:
         if self.everywhere(regular):
             inverse = 1.0 / pivot
         else:
-            self.redundant[self.count] = np.logical_not(regular), variance
+            self.redundant[len(self.inverses)] = np.logical_not(regular), variance
             broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
             pivot = np.where(regular, pivot, 1.0)
             inverse = np.where(broken, np.nan, regular / pivot)
-        self.count += 1
+        self.inverses.append(inverse)
         return inverse, pivot
 
 
@@ -224,9 +226,11 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
             root = np.sqrt(pivot)
             inverse = 1.0 / root
         else:
-            if scale is None and (raised := _with_least_variances(P)) is not None:
-                return cholesky(raised, np.abs(variances(raised)))
-            broken = ~(pivot >= -INDEFINITE * (variance if scale is None else scale[j]))
+            if scale is None:
+                if (raised := _with_least_variances(P)) is not None:
+                    return cholesky(raised, np.abs(variances(raised)))
+                scale = np.abs(variances(P))
+            broken = ~(pivot >= -INDEFINITE * scale[j])
             root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
             inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
         L[j, j] = root
