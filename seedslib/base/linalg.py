@@ -27,6 +27,9 @@ ABSOLUTE = sys.float_info.min
 INDEFINITE = 1e-9
 """A pivot below minus this fraction of its variance is no rounding error: no covariance."""
 
+FEW = 1000
+"""Items of a batch of which a matrix stays in the processor's cache."""
+
 NEGATIVE = 1e-12
 """An eigenvalue below minus this, in units of the deviations, is raised to it and reported."""
 
@@ -172,11 +175,13 @@ def solve_psd(S: np.ndarray, B: np.ndarray) -> np.ndarray:
     depth = max(S.ndim, B.ndim) - 2
     S, B = align(S, 2, depth), align(B, 2, depth)
     factor = [list(row) for row in S] if depth else S.tolist()
-    # Bᵀ S⁻¹ is what unit innovations of covariance S add to a vector with cross-covariance Bᵀ
-    columns, units = [0.0] * B.shape[1], list(align(np.eye(len(S)), 2, depth))
-    cross = [list(row) for row in B.swapaxes(0, 1)]
-    eliminate(columns, None, units, cross, factor, Reciprocals(depth > 0))
-    return np.stack(columns, axis=1)
+    # Bᵀ S⁻¹ is what unit innovations of covariance S add to a vector with cross-covariance Bᵀ;
+    # of few items all columns of B are one component
+    width = B.shape[1] if B[0, 0].size <= FEW else 1
+    cross = [list(B[:, q : q + width, None]) for q in range(0, B.shape[1], width)]
+    units, sums = list(align(np.eye(len(S)), 2, depth)[:, None]), [0.0] * len(cross)
+    eliminate(sums, None, units, cross, factor, Reciprocals(depth > 0))
+    return np.concatenate(sums).swapaxes(0, 1)
 
 
 def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:

@@ -197,9 +197,13 @@ class RauchTungStriebel(Smoother):
         times, rows = record.times.tolist(), (parts["mean"], parts["cov"], parts["loglik"])
         later = [FilterState(*row) for row in zip(times[k + 1 :], *rows, strict=True)]
         before = [settled, *later[:-1]]
-        steps = zip(range(k, last), np.diff(times[k:]).tolist(), strict=True)
-        numbers = zip(*(filter.values(record.inputs.at(j), dt) for j, dt in steps), strict=True)
-        p = tuple(column[0] if len({*column}) == 1 else np.array(column) for column in numbers)
+        lengths = np.diff(times[k:]).tolist()
+        if not record.inputs.values and len({*lengths}) == 1:
+            p = filter.values(record.inputs.at(k), lengths[0])
+        else:
+            steps = zip(range(k, last), lengths, strict=True)
+            numbers = zip(*(filter.values(record.inputs.at(j), dt) for j, dt in steps), strict=True)
+            p = tuple(column[0] if len({*column}) == 1 else np.array(column) for column in numbers)
         mean, cov = (np.stack([getattr(s, name) for s in before], -1) for name in ("mean", "cov"))
         ahead, cross = filter.propagate_jointly(FilterState(times[k], mean, cov), times[k + 1], p)
         gains = np.moveaxis(kalman_gain(cross, ahead.cov), -1, 0)
