@@ -1,7 +1,7 @@
 """The falling body under every reading of its illegible entries; some minutes.
 
-Run by hand, ``python benchmarks/piecewise_readings.py``; writes ``benchmarks/piecewise_readings.csv``
-beside itself. A reading is a sensor noise H, a standard deviation of the range in the prior, a
+Run by hand, ``python benchmarks/piecewise_readings.py``; writes a ``.csv`` of its name beside
+itself. A reading is a sensor noise H, a standard deviation of the range in the prior, a
 speed at t = 0 (for the time index of the coefficient K) and a mean of the range, other than
 27.5 km for bodies from rest and H = 1e-3 only. A line is a quantity at t = 1 to 10, for bodies at
 5 km, at 50 km and, with the mean 27.5, drawn from the prior between the two:
