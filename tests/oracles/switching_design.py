@@ -8,7 +8,7 @@ triple (prob, mean, cov) of shapes (2, paths), (2, n, paths) and (2, n, n, paths
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -93,13 +93,24 @@ def simulated(system, steps, paths, seed):
     return [np.array(part) for part in zip(*found, strict=True)]
 
 
+@cache
+def rule(size, degree):
+    """Nodes (size, nodes) of a standard normal distribution and their weights."""
+    points, weights = np.polynomial.hermite_e.hermegauss(degree)
+    grid = np.array(list(product(points, repeat=size))).T
+    weights = np.array([np.prod(w) for w in product(weights, repeat=size)])
+    return grid[:, :, None], weights / weights.sum()
+
+
 def nodes(system, mean, cov):
     """Quadrature of one normal distribution a path: (n, nodes, paths) and weights."""
-    points, weights = np.polynomial.hermite_e.hermegauss(system.degree)
-    grid = np.array(list(product(points, repeat=system.size))).T
-    weights = np.array([np.prod(w) for w in product(weights, repeat=system.size)])
-    root = np.moveaxis(np.linalg.cholesky(np.moveaxis(cov, -1, 0)), 0, -1)
-    return mean[:, None] + np.einsum("abN,bq->aqN", root, grid), weights / weights.sum()
+    grid, weights = rule(system.size, system.degree)
+    first = np.sqrt(cov[0, 0])
+    x = [mean[0] + first * grid[0]]
+    if system.size == 2:
+        slope = cov[0, 1] / first
+        x.append(mean[1] + slope * grid[0] + np.sqrt(cov[1, 1] - slope**2) * grid[1])
+    return np.array(x), weights
 
 
 def forecast(system, dist):
@@ -156,12 +167,8 @@ class Parameters:
         self.missing = self.fit(modes, states, z)
 
     def fit(self, modes, states, z):
-        cov = (
-            np.atleast_2d(np.cov(z))
-            if len(modes) > 2
-            else np.atleast_2d(np.cov(self.everywhere[2]))
-        )
-        size, axes = np.linalg.eigh(cov)
+        enough = z if len(modes) > 2 else self.everywhere[2]
+        size, axes = np.linalg.eigh(np.atleast_2d(np.cov(enough)))
         kept = size > 1e-9 * size.max()
         turn = (axes[:, kept] / np.sqrt(size[kept])).T
         least, parts = max(50, 3 * (kept.sum() + 1)), []
@@ -184,12 +191,10 @@ class Parameters:
         return turn, parts
 
     def recall(self, cells, z):
+        """Chances, means and covariances of the modes, a path's cell and vector given."""
         n, paths = len(self.everywhere[1]), len(cells)
-        logs, means, covs = (
-            np.empty((2, paths)),
-            np.empty((2, n, paths)),
-            np.empty((2, n, n, paths)),
-        )
+        logs, means = np.empty((2, paths)), np.empty((2, n, paths))
+        covs = np.empty((2, n, n, paths))
         for u in np.unique(cells):
             here = cells == u
             turn, parts = self.fits.get(u, self.missing)
