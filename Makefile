@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: book test checks lowest lab sweep execute lint style types clean setup
 
 book: setup execute
-	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
+	@$(PY) -m sphinx -c book -d build/doctrees -n -W --keep-going --quiet . _build/html
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
 
@@ -52,7 +52,7 @@ types: setup
 	@$(VENV)/bin/basedpyright --pythonpath $(PY)
 
 clean:
-	rm -rf $(VENV) _build build runs book/claims.md book/figures .pytest_cache .ruff_cache
+	rm -rf $(VENV) _build build runs book/claims.md .pytest_cache .ruff_cache
 
 setup: $(VENV)/.installed
 

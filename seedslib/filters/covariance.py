@@ -16,7 +16,7 @@ from seedslib.base.clock import MOST_STEPS, SAME, step_count
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
 from seedslib.base.values import Values
-from seedslib.filters.base import Estimates, Filter, first_step, stays
+from seedslib.filters.base import Estimates, Filter, Record, first_step, stays, walk
 from seedslib.filters.program import Program
 from seedslib.linearization.moments import Linearization, Matrices, Moments, as_linearization
 from seedslib.linearization.points import PointRule
@@ -384,6 +384,19 @@ class CovarianceFilter(Filter):
         if np.isfinite(self.bound):
             beyond = (np.abs(state.mean) > self.bound).any(axis=0)
         return Estimates(state.mean, state.cov, None, state.loglik, beyond)
+
+    def _logliks(
+        self, times: ArrayLike, measurements: ArrayLike, indicators: Any = None, inputs: Any = None
+    ) -> Any:
+        """See `Filter._logliks`: states are not reported."""
+        batch, record = self.records_of(times, measurements, indicators, None, inputs)
+
+        def work(record: Record, stream: object) -> Estimates:
+            shape = record.y.shape[2:]
+            rows = [np.broadcast_to(s.loglik, shape) for s in walk(self, record)]
+            return Estimates(np.stack(rows)[:, None], loglik=np.stack(rows))
+
+        return self.in_blocks(work, record, batch).loglik
 
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
         """Paths do not meet, so the size of a block is free."""
