@@ -232,7 +232,7 @@ class _Likelihood:
             return np.array([self._run(filter, 1).sum() for filter in made])
         count, series = values.shape[1], self.y.shape[2]
         filter = self.filter.bind(self._numbers(np.repeat(values, series, axis=1)))
-        return self._run(filter, count).reshape(count, series).sum(axis=1)
+        return self._run(filter._for_likelihoods(), count).reshape(count, series).sum(axis=1)
 
     def _numbers(self, values):
         return dict(zip(self.parameters, values, strict=True))
@@ -246,7 +246,7 @@ class _Likelihood:
             options["inputs"] = {
                 u: v if v.ndim == 1 else np.tile(v, (1, count)) for u, v in self.inputs.items()
             }
-        loglik = filter._logliks(self.times, np.tile(self.y, (1, 1, count)), **options)
+        loglik = filter.run(self.times, np.tile(self.y, (1, 1, count)), **options).loglik
         if loglik is None:
             raise ValueError(f"filter: {filter!r} gives no likelihood")
         return loglik.sum(axis=0)

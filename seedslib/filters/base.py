@@ -734,9 +734,9 @@ class Filter(Pickled):
 
         return self.in_blocks(work, record, batch, seed, workers)
 
-    def _logliks(self, times: ArrayLike, measurements: ArrayLike, **options: Any) -> Any:
-        """Log-likelihoods (K+1, *batch) of `run`; None of a filter that gives none."""
-        return self.run(times, measurements, **options).loglik
+    def _for_likelihoods(self) -> Self:
+        """The same filter, of whose estimates nothing but the log-likelihood is looked at."""
+        return self
 
     def records_of(
         self, times: ArrayLike, measurements: ArrayLike, indicators: Any, modes: Any, inputs: Any

@@ -250,7 +250,7 @@ class KalmanFilter(CovarianceFilter):
 
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
-        if isinstance(state, DiffuseState):
+        if isinstance(state, DiffuseState) and self._covariances:
             mean, cov = self._marginalized(state)
             state = FilterState(state.time, mean, cov, state.loglik)
         return super().report(state)
