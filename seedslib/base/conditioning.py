@@ -125,19 +125,22 @@ def update(
             missing = len(some) - some.sum(axis=0)
             cov_batch = batch_shape(cov_batch, observed.shape[1:])
 
-    # for few items whole covariances are quicker than components
-    whole = cov is not None and depth > 0 and math.prod(cov_batch) < len(cov) ** 2
+    # for few items whole vectors and covariances are quicker than components
+    whole = cov is not None and depth > 0 and math.prod(batch) < len(cov) ** 2
     given = mean, None if whole else cov, innovation, cross, innovation_cov
     lists = [None if part is None else _components(part, depth) for part in given]
+    if whole:
+        lists[0], lists[3] = [mean], [list(cross.swapaxes(0, 1))]
     reciprocals = Reciprocals(depth > 0)
     terms, pivots = eliminate(*lists, reciprocals)
     full, cov_full = ((1,) * (depth - len(axes)) + axes for axes in (batch, cov_batch))
     new_mean = np.empty((len(mean), *full))
-    for k, component in enumerate(lists[0]):
-        new_mean[k] = component
     if whole:
-        new_cov = _corrected(cov, lists[3], reciprocals.inverses, cov_full)
+        new_mean[...] = lists[0][0]
+        new_cov = _corrected(cov, lists[3][0], reciprocals.inverses, cov_full)
     else:
+        for k, component in enumerate(lists[0]):
+            new_mean[k] = component
         new_cov = None if cov is None else _filled(lists[1], cov_full)
 
     terms.append(_log_product(pivots))
@@ -216,14 +219,12 @@ def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
 
 
 def _corrected(
-    cov: np.ndarray, cross: list[list[Any]], inverses: list[Any], batch: tuple[int, ...]
+    cov: np.ndarray, columns: list[np.ndarray], inverses: list[Any], batch: tuple[int, ...]
 ) -> np.ndarray:
     """P - C S⁻¹ Cᵀ at once, of what `eliminate` makes of C and of the pivots of S."""
-    full, column = np.empty((*cov.shape[:2], *batch)), np.empty((len(cov), *batch))
+    full = np.empty((*cov.shape[:2], *batch))
     full[...] = cov
-    for j, inverse in enumerate(inverses):
-        for k, row in enumerate(cross):
-            column[k] = row[j]
+    for column, inverse in zip(columns, inverses, strict=True):
         full -= (column * inverse)[:, None] * column
     for k in range(1, len(cov)):
         full[:k, k] = full[k, :k]

@@ -7,6 +7,7 @@ component is an array over the batch, a float, a SymPy expression or a node of a
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from functools import lru_cache, reduce
@@ -222,8 +223,12 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     P = np.asarray(P, dtype=float)
     n = len(P)
     L = np.zeros_like(P)
-    # lists of components: for few of them and many items faster than slices
-    rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]
+    # lists of components are faster than slices, but for many of them and few items
+    few = P.ndim > 2 and math.prod(P.shape[2:]) < n * n
+    if few:
+        rest = P.copy()
+    else:
+        rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]
     for j in range(n):
         pivot, variance = rest[j][j], np.abs(P[j, j])
         regular = pivot > RELATIVE * variance + ABSOLUTE
@@ -239,6 +244,11 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
             root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
             inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
         L[j, j] = root
+        if few:
+            below = L[j + 1 :, j]
+            np.multiply(rest[j + 1 :, j], inverse, out=below)
+            rest[j + 1 :, j + 1 :] -= below[:, None] * below
+            continue
         column = [None] * (j + 1) + [rest[k][j] * inverse for k in range(j + 1, n)]
         for k in range(j + 1, n):
             L[k, j] = column[k]

@@ -53,8 +53,24 @@ class Collected(Pickled):
         return np.einsum("pq...,q...->p...", self.inverse, self.score)
 
     @cached_property
+    def _factor(self) -> np.ndarray:
+        return cholesky(self.information)
+
+    @property
     def _roots(self) -> np.ndarray:
-        return variances(cholesky(self.information))
+        return variances(self._factor)
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        """A most probable d by substitution, sooner than `estimate`, which is the shortest."""
+        L, d, regular = self._factor, self.score.copy(), self._roots > 0
+        inverse = regular / np.where(regular, self._roots, 1.0)
+        for j in range(len(d)):
+            d[j] *= inverse[j]
+            d[j + 1 :] -= L[j + 1 :, j] * d[j]
+        for j in reversed(range(len(d))):
+            d[j] = inverse[j] * (d[j] - (L[j + 1 :, j] * d[j + 1 :]).sum(axis=0))
+        return d
 
     def half_log_determinant(self) -> np.ndarray:
         """Half the logarithm of the determinant of the information that there is."""
@@ -177,9 +193,9 @@ class KalmanFilter(CovarianceFilter):
             before.information + np.einsum("mp...,mq...->pq...", columns[1], weighted[:, 1:]),
         )
         # at the best d: at zero the squares may be large, and their difference has no digits
-        expected = np.einsum("mq...,q...->m...", effect, after.estimate)
+        expected = np.einsum("mq...,q...->m...", effect, after.solution)
         density = gaussian_logpdf(innovation, expected, S)
-        change = after.estimate - before.estimate
+        change = after.solution - before.solution
         density -= 0.5 * np.einsum("p...,pq...,q...->...", change, before.information, change)
         loglik = density + before.half_log_determinant() - after.half_log_determinant()
         effect = state.effect - np.einsum("nm...,mq...->nq...", cross, weighted[:, 1:])

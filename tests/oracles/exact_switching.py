@@ -1,4 +1,4 @@
-"""Exact filters of the scalar switching system, on grids.
+"""Exact filters of the scalar switching system, of order one and with remembered measurements.
 
 Written from [R-SW 3.1, 4.1-4.8] alone, for the references that come from outside of the project.
 The distribution of the memory (a decided mode and an estimate) and of the object (mode and state)
@@ -9,7 +9,6 @@ axis.
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse import csr_matrix
 
 NOISE = {"A1H": 2.0, "A1L": 0.5, "A2": 1.0}
 MEASURED = {"A1H": (-18, 20), "A1L": (-11, 13), "A2": (-8, 26)}
@@ -44,7 +43,7 @@ def model(sensor, states, measurements):
 
 
 def errors(sensor, steps, states=121, estimates=161, measurements=301):
-    """Order one: mean squares of the error, probabilities of a wrong mode, at 0 to steps - 1."""
+    """Mean squares of the error and probabilities of a wrong mode, at k = 0 to steps - 1."""
     z = np.linspace(-6, 6, estimates)
     both, transition, likely, start = model(sensor, states, measurements)
     dist, found = start[None], []
@@ -93,63 +92,3 @@ def remembered(sensor, length, k, states=65, measurements=81):
         square += (joint @ both**2).sum() - (mean * first).sum()
         right += joint.reshape(*mass.shape, 2, -1).sum(axis=3).max(axis=2).sum()
     return square, 1 - right
-
-
-def bayes(sensor, measured, states=161):
-    """Modes decided and estimates of the Bayes filter along records (steps, paths)."""
-    both, transition, _, start = model(sensor, states, 2)
-    shown = (
-        [both / 2 + both**2 / 5]
-        if sensor == "A2"
-        else [both + 2 * (np.arange(len(both)) >= states)]
-    )
-    dist, decided, estimated = start * np.ones((measured.shape[1], 1)), [], []
-    for k, y in enumerate(measured):
-        dist = dist @ transition if k else dist
-        dist = dist * bell(y[:, None] - shown[0], NOISE[sensor])
-        dist /= dist.sum(axis=1, keepdims=True)
-        decided.append((dist[:, states:].sum(axis=1) > 0.5).astype(int))
-        estimated.append((dist @ both)[None])
-    return np.array(decided), np.array(estimated)
-
-
-def errors_of_order_two(sensor, steps, states=65, estimates=61, measurements=81, least=1e-7):
-    """Mean squares of the error and probabilities of a wrong mode with two remembered estimates.
-
-    A cell of the memory is a pair of nodes, newest first; those that hardly ever occur are left out
-    and their probability is lost.
-    """
-    z = np.linspace(-6, 6, estimates)
-    both, transition, likely, start = model(sensor, states, measurements)
-    nodes, found = 2 * estimates, []
-    dist, newest, older = start[None], np.array([-1]), np.array([-1])
-    for k in range(steps):
-        dist = dist @ transition if k else dist
-        ahead, square, right = {}, dist.sum(axis=0) @ both**2, 0.0
-        for last in np.unique(newest):
-            here = dist[newest == last]
-            modes = np.stack(
-                [here[:, :states] @ likely[:, :states].T, here[:, states:] @ likely[:, states:].T]
-            )
-            mass, first = modes.sum(axis=0), (here * both) @ likely.T
-            mean = np.divide(first, mass, out=np.zeros_like(mass), where=mass > 1e-300)
-            square, right = square - (mean * first).sum(), right + modes.max(axis=0).sum()
-            place = np.clip((mean - z[0]) / (z[1] - z[0]), 0, estimates - 1 - 1e-9)
-            low = place.astype(int)
-            share, cell = place - low, low + estimates * modes.argmax(axis=0)
-            rows, columns = np.concatenate([cell, cell + 1]).ravel(), np.arange(mass.size)
-            joint = csr_matrix(
-                (
-                    np.concatenate([1 - share, share]).ravel(),
-                    (rows, np.concatenate([columns, columns])),
-                ),
-                shape=(nodes, mass.size),
-            )
-            ahead[last] = joint @ (here[:, None] * likely).reshape(mass.size, -1)
-        found.append((square, 1 - right))
-        dist = np.concatenate(list(ahead.values()))
-        newest = np.tile(np.arange(nodes), len(ahead))
-        older = np.repeat(list(ahead), nodes)
-        kept = dist.sum(axis=1) > least
-        dist, newest, older = dist[kept] / dist[kept].sum(), newest[kept], older[kept]
-    return np.array(found).T

@@ -8,7 +8,7 @@ triple (prob, mean, cov) of shapes (2, paths), (2, n, paths) and (2, n, n, paths
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import product
 
 import numpy as np
@@ -18,17 +18,14 @@ CLIP = 8.0  # of remembered log-odds
 
 @dataclass(frozen=True)
 class Scalar:
-    """The scalar system whose state moves its modes; `slopes` are derivatives by the state."""
+    """The scalar system whose state moves its modes."""
 
     sensor: str
-    leave: tuple | None = None  # constant chances of mode 1 after modes 0 and 1
     size, degree = 1, 16
     start = np.array([0.5, 0.5]), np.eye(1)
     tells = None
 
     def chance(self, i, x):
-        if self.leave:
-            return np.full(x.shape[1:], self.leave[i])
         return (0.35 - 0.3 * np.exp(-(x[0] ** 2) / 8), 0.9 - 0.5 * np.exp(-(x[0] ** 2) / 2))[i]
 
     def moved(self, i, x):
@@ -42,12 +39,6 @@ class Scalar:
 
     def error(self, i):
         return {"A1H": 2.0, "A1L": 0.5, "A2": 1.0}[self.sensor]
-
-    def slopes(self, i, x):
-        chance = (0.075 * x * np.exp(-(x**2) / 8), 0.5 * x * np.exp(-(x**2) / 2))[i]
-        chance = 0 * x if self.leave else chance
-        moved = 1 + 1.8 * np.cos(x) if i == 0 else 0.6 + 0 * x
-        return chance, moved, 0.5 + 0.4 * x if self.sensor == "A2" else 1 + 0 * x
 
 
 @dataclass(frozen=True)
@@ -102,23 +93,31 @@ def simulated(system, steps, paths, seed):
     return [np.array(part) for part in zip(*found, strict=True)]
 
 
+@cache
+def rule(size, degree):
+    """Nodes (size, nodes) of a standard normal distribution and their weights."""
+    points, weights = np.polynomial.hermite_e.hermegauss(degree)
+    grid = np.array(list(product(points, repeat=size))).T
+    weights = np.array([np.prod(w) for w in product(weights, repeat=size)])
+    return grid[:, :, None], weights / weights.sum()
+
+
 def nodes(system, mean, cov):
     """Quadrature of one normal distribution a path: (n, nodes, paths) and weights."""
-    points, weights = np.polynomial.hermite_e.hermegauss(system.degree)
-    grid = np.array(list(product(points, repeat=system.size))).T
-    weights = np.array([np.prod(w) for w in product(weights, repeat=system.size)])
-    root = np.moveaxis(np.linalg.cholesky(np.moveaxis(cov, -1, 0)), 0, -1)
-    return mean[:, None] + np.einsum("abN,bq->aqN", root, grid), weights / weights.sum()
+    grid, weights = rule(system.size, system.degree)
+    first = np.sqrt(cov[0, 0])
+    x = [mean[0] + first * grid[0]]
+    if system.size == 2:
+        slope = cov[0, 1] / first
+        x.append(mean[1] + slope * grid[0] + np.sqrt(cov[1, 1] - slope**2) * grid[1])
+    return np.array(x), weights
 
 
-def forecast(system, dist, linear=False):
-    """Lemma 6: chance, mean and covariance in each next mode; (7.3) where `linear`."""
+def forecast(system, dist):
+    """Lemma 6: chance, mean and covariance in each next mode."""
     parts = []
     for i in (0, 1):
         prob, mean, cov = (part[i] for part in dist)
-        if linear:
-            parts.append([prob * part for part in expanded(system, i, mean[0], cov[0, 0])])
-            continue
         x, weights = nodes(system, mean, cov)
         into, ahead = system.chance(i, x), system.moved(i, x)
         share = weights[:, None] * np.stack([1 - into, into])
@@ -133,35 +132,16 @@ def forecast(system, dist, linear=False):
     return mass, mean, second / mass[:, None, None] - mean[:, :, None] * mean[:, None]
 
 
-def expanded(system, i, m, d):
-    """(7.3) of a scalar system; a slope that would make a variance negative is taken for zero."""
-    a, (slope, da, _) = system.moved(i, m[None])[0], system.slopes(i, m)
-    found = []
-    for sign in (-1, 1):
-        chance = system.chance(i, m[None])
-        chance, bent = (chance if sign > 0 else 1 - chance), sign * slope
-        bent = np.where(bent**2 * d >= chance**2, 0.0, bent)
-        tilt = da * d * bent
-        spread = chance * (a**2 + da**2 * d + system.noise(i)[0, 0])
-        found.append((chance, (chance * a + tilt)[None], (2 * a * tilt + spread)[None, None]))
-    return [np.stack(part) for part in zip(*found, strict=True)]
-
-
-def corrected(system, dist, y, told, linear=False):
+def corrected(system, dist, y, told):
     """Lemmas 1 and 3."""
     logs, means, covs = [], [], []
     for i in (0, 1):
         prob, mean, cov = (part[i] for part in dist)
-        if linear:
-            slope = system.slopes(i, mean[0])[2]
-            expected = system.shown(i, mean)
-            cross, spread = cov[0] * slope, slope**2 * cov[0, 0] + system.error(i) ** 2
-        else:
-            x, weights = nodes(system, mean, cov)
-            b = system.shown(i, x)
-            expected = weights @ b
-            spread = weights @ (b - expected) ** 2 + system.error(i) ** 2
-            cross = ((x - mean[:, None]) * (weights[:, None] * (b - expected))).sum(axis=1)
+        x, weights = nodes(system, mean, cov)
+        b = system.shown(i, x)
+        expected = weights @ b
+        spread = weights @ (b - expected) ** 2 + system.error(i) ** 2
+        cross = ((x - mean[:, None]) * (weights[:, None] * (b - expected))).sum(axis=1)
         away = y - expected
         with np.errstate(divide="ignore"):
             log = np.log(prob) - 0.5 * (away**2 / spread + np.log(spread))
@@ -187,12 +167,8 @@ class Parameters:
         self.missing = self.fit(modes, states, z)
 
     def fit(self, modes, states, z):
-        cov = (
-            np.atleast_2d(np.cov(z))
-            if len(modes) > 2
-            else np.atleast_2d(np.cov(self.everywhere[2]))
-        )
-        size, axes = np.linalg.eigh(cov)
+        enough = z if len(modes) > 2 else self.everywhere[2]
+        size, axes = np.linalg.eigh(np.atleast_2d(np.cov(enough)))
         kept = size > 1e-9 * size.max()
         turn = (axes[:, kept] / np.sqrt(size[kept])).T
         least, parts = max(50, 3 * (kept.sum() + 1)), []
@@ -215,12 +191,10 @@ class Parameters:
         return turn, parts
 
     def recall(self, cells, z):
+        """Chances, means and covariances of the modes, a path's cell and vector given."""
         n, paths = len(self.everywhere[1]), len(cells)
-        logs, means, covs = (
-            np.empty((2, paths)),
-            np.empty((2, n, paths)),
-            np.empty((2, n, n, paths)),
-        )
+        logs, means = np.empty((2, paths)), np.empty((2, n, paths))
+        covs = np.empty((2, n, n, paths))
         for u in np.unique(cells):
             here = cells == u
             turn, parts = self.fits.get(u, self.missing)
@@ -243,7 +217,6 @@ class Filter:
     measurements: int = 0
     odds: bool = False
     told: bool = False
-    linear: bool = False
     fits: tuple = ()
 
     def run(self, data, design=False):
@@ -260,8 +233,8 @@ class Filter:
         decided, estimated, blocks, told = [], [], [], []
         for k, y in enumerate(measured):
             if k:
-                dist = forecast(system, dist, self.linear)
-            dist = corrected(system, dist, y, tells[k], self.linear)
+                dist = forecast(system, dist)
+            dist = corrected(system, dist, y, tells[k])
             decided.append(dist[0].argmax(axis=0))
             estimated.append((dist[0][:, None] * dist[1]).sum(axis=0))
             if not self.estimates + self.measurements:
@@ -292,45 +265,6 @@ class Filter:
         return replace(self, fits=self.run(data, design=True)[2])
 
 
-def histories(system, data, count):
-    """A Kalman filter along each history of modes of the target; the likeliest ones are kept."""
-    _, _, measured, tells = data
-    paths = measured.shape[1]
-    noise, error = np.stack([system.noise(i) for i in (0, 1)], -1), np.array([1.0, 3.0])
-    mode = np.repeat([[0], [1]], paths, axis=1)
-    log = np.log(system.start[0])[:, None] * np.ones(paths)
-    mean = np.zeros((2, 2, paths))
-    cov = np.repeat(np.repeat(system.start[1][:, :, None, None], 2, axis=2), paths, axis=3)
-    decided, estimated = [], []
-    for k, y in enumerate(measured):
-        if k:
-            flow = np.zeros((2, 2, *mode.shape))
-            flow[0], flow[1, 1] = 1.0, np.where(mode == 0, 0.98, 0.9)
-            mean = np.where(mode == 0, system.moved(0, mean), system.moved(1, mean))
-            cov = np.einsum("abhN,bchN->achN", flow, cov)
-            cov = np.einsum("abhN,cbhN->achN", cov, flow) + noise[:, :, mode]
-            into = np.array([0.05, 0.85])[mode]
-            log = np.concatenate([log + np.log(1 - into), log + np.log(into)])
-            mode = np.repeat([0, 1], len(mode))[:, None] * np.ones(paths, int)
-            mean, cov = np.concatenate([mean, mean], 1), np.concatenate([cov, cov], 2)
-        spread, away = cov[0, 0] + error[mode] ** 2, y - mean[0]
-        log = log - 0.5 * (away**2 / spread + np.log(spread))
-        if system.tells is not None:
-            log += np.log(system.tells[mode, tells[k]])
-        gain = cov[:, 0] / spread
-        mean, cov = mean + gain * away, cov - gain[:, None] * cov[0]
-        log = log - log.max(axis=0)
-        weight = np.exp(log) / np.exp(log).sum(axis=0)
-        decided.append(((weight * mode).sum(axis=0) > 0.5).astype(int))
-        estimated.append((weight * mean).sum(axis=1))
-        if len(mode) > count:
-            best = np.argpartition(-log, count, axis=0)[:count]
-            log, mode = (np.take_along_axis(part, best, 0) for part in (log, mode))
-            mean = np.take_along_axis(mean, best[None], 1)
-            cov = np.take_along_axis(cov, best[None, None], 2)
-    return np.array(decided), np.array(estimated)
-
-
 def scores(found, data, begin=10):
     """A path's share of wrong modes and mean squares of each component: (1 + n, paths)."""
     wrong = (found[0] != data[0])[begin:].mean(axis=0)
@@ -342,12 +276,3 @@ def averages(score):
     mean, doubt = score.mean(axis=1), score.std(axis=1) / np.sqrt(score.shape[1])
     root = np.sqrt(mean)
     return np.append(mean[0], root[1:]), np.append(doubt[0], doubt[1:] / (2 * root[1:]))
-
-
-def constant(system, paths, seed):
-    """The same system, chances of a switch averaged over the later half of 61 times."""
-    modes, states, *_ = simulated(system, 61, paths, seed)
-    late = [np.concatenate([states[k][0, modes[k] == i] for k in range(30, 61)]) for i in (0, 1)]
-    return replace(
-        system, leave=tuple(system.chance(i, x[None]).mean() for i, x in enumerate(late))
-    )
