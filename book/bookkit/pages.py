@@ -2,12 +2,13 @@
 
 Recorded numbers are substitutions in the text of any page, ``{{ '%.3f' % notebook__name }}``, the
 entries of a list ``notebook__name_0`` and so on. So are the counts of verdicts on a paper. The
-claims page and the figures that pages borrow from notebooks are written when the build begins.
+claims page is written when the build begins.
 """
 
 from __future__ import annotations
 
 import base64
+import html
 import json
 import re
 import struct
@@ -17,6 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from bs4 import BeautifulSoup
+from docutils import nodes
 
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, PROOFS, VERDICTS, Claim, read_ledger
 from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
@@ -37,6 +40,7 @@ def substitutions(root: Path) -> dict[str, Any]:
         name = group.replace("-", "_")
         result[f"verdicts__{name}"] = paper_counts(own)
         result[f"findings__{name}"] = counts(c for c in own if c.origin == "ours")
+        result[f"errata__{name}"] = errata(own)
     return result
 
 
@@ -52,6 +56,21 @@ def paper_counts(claims: Iterable[Claim]) -> str:
     said = counts(c for c in claims if c.origin in ("stated", "restored"))
     implied = counts(c for c in claims if c.origin == "implied")
     return f"{said}; of what it only implies {implied}" if implied else said
+
+
+def errata(claims: Iterable[Claim]) -> str:
+    """What a paper says that is not reproduced, as a table in MyST text."""
+    lines = ["| place | the paper says | verdict |", "|---|---|---|"]
+    for claim in claims:
+        if claim.origin != "ours" and claim.verdict != "reproduced":
+            said = " ".join(claim.statement.split()).replace("|", r"\|")
+            if claim.corrected_formula:
+                said += f" Right: {claim.corrected_formula}.".replace("|", r"\|")
+            link = (
+                f'<a href="../{claim.notebook.removesuffix(".md")}.html#{claim.id}">{claim.id}</a>'
+            )
+            lines.append(f"| {claim.place} | {said} | {claim.verdict}, {link} |")
+    return "\n".join(lines)
 
 
 def claims_page(root: Path) -> str:
@@ -125,21 +144,7 @@ def _box(claim: Claim, recorded: dict[str, dict[str, dict]]) -> str:
     page = claim.notebook.removesuffix(".md")
     link = f'<a href="../{page}.html#{claim.id}">{page.partition("/")[2]}</a>'
     box = claim_html(claim.id, recorded[claim.id][claim.notebook])
-    return box.removesuffix("</div>") + f" ({link})</div>"
-
-
-def figures(root: Path) -> dict[str, bytes]:
-    """The figures of notebooks that pages show again as ``figures/NAME.png``, by that name."""
-    text = "".join(path.read_text() for path in (root / "book").glob("*.md"))
-    wanted = set(re.findall(r"figures/([\w-]+)\.png", text))
-    return {
-        name: base64.b64decode(output["data"]["image/png"])
-        for path in (root / "notebooks").glob("*.ipynb")
-        for cell in json.loads(path.read_text())["cells"]
-        for output in cell.get("outputs", [])
-        if (name := cell["metadata"].get("mystnb", {}).get("figure", {}).get("name")) in wanted
-        and "image/png" in output.get("data", {})
-    }
+    return box.removesuffix("</p></details>") + f" ({link})</p></details>"
 
 
 def as_shown(notebook: dict) -> dict:
@@ -152,7 +157,9 @@ def as_shown(notebook: dict) -> dict:
                 width = struct.unpack(">I", base64.b64decode(data["image/png"][:32])[16:20])[0]
                 options = cell["metadata"].setdefault("mystnb", {})
                 options.setdefault("image", {}).setdefault("width", f"{width // 2}px")
-            if MIME not in data or "text/html" in data:  # the box of a claim stays
+            for name, entry in data.get(MIME, {}).get("claims", {}).items():
+                data["text/html"] = claim_html(name, entry)
+            if MIME not in data or "text/html" in data:  # the badge of a claim stays
                 outputs.append(output)
         if "outputs" in cell:
             cell["outputs"] = outputs
@@ -163,11 +170,10 @@ def setup(app: Any) -> dict[str, bool]:
     """Called by Sphinx."""
     root = Path(app.srcdir)
     (root / "book" / "claims.md").write_text(claims_page(root))
-    (root / "book" / "figures").mkdir(exist_ok=True)
-    for name, picture in figures(root).items():
-        (root / "book" / "figures" / f"{name}.png").write_bytes(picture)
     app.config.myst_substitutions = substitutions(root)
     app.connect("source-read", _read_source)
+    app.connect("html-page-context", _page, priority=900)  # after the theme has made the sidebar
+    app.connect("build-finished", _write_texts)
     app.connect("autodoc-process-docstring", _literal_stars, priority=100)
     app.connect("autodoc-skip-member", _skip_foreign)
     return {"parallel_read_safe": True}
@@ -176,6 +182,78 @@ def setup(app: Any) -> dict[str, bool]:
 def _read_source(app: Any, docname: str, source: list[str]) -> None:
     if str(app.env.doc2path(docname)).endswith(".ipynb"):
         source[0] = json.dumps(as_shown(json.loads(source[0])))
+
+
+def _page(app: Any, pagename: str, template: str, context: dict, doctree: Any) -> None:
+    """The sidebar of the part that a page is in, its description, and its text for the search."""
+    sidebar = context.get("generate_toctree_html")
+    if sidebar is not None:
+        context["generate_toctree_html"] = lambda *a, **k: _of_this_part(sidebar(*a, **k))
+    if pagename == "search":
+        for name in ("texts.js", "search.js"):
+            app.add_js_file(name, priority=100)
+    if doctree is None:
+        return
+    first = next((p.astext() for p in doctree.findall(nodes.paragraph) if len(p.astext()) > 60), "")
+    said = html.escape(" ".join(first.split())[:200], quote=True)
+    title = html.escape(re.sub("<[^>]+>", "", context["title"]), quote=True)
+    context["metatags"] = context.get("metatags", "") + "".join(
+        f'<meta {kind}="{name}" content="{value}">'
+        for kind, name, value in (
+            ("name", "description", said),
+            ("property", "og:title", title),
+            ("property", "og:description", said),
+            ("property", "og:image", context["pathto"]("_static/flip_run.png", resource=True)),
+        )
+    )
+    bare = re.sub(r"(?s)<(script|style|svg|pre).*?</\1>|<[^>]+>", " ", context["body"])
+    text = re.sub(r"\\[()]|¶|#(?=\s)", "", html.unescape(bare))
+    weight = next((w for part, w in WEIGHTS.items() if pagename.startswith(part)), 0.7)
+    if pagename in _chapters(app):
+        weight = 1.0
+    texts = {"text": " ".join(text.split()), "weight": weight}
+    app.env.seedslib_texts = {**getattr(app.env, "seedslib_texts", {}), pagename: texts}
+
+
+WEIGHTS = {"book/api": 0.6, "book/claims": 0.2, "book/errata": 0.3, "notebooks": 0.4}
+"""How much a page counts in the search by the beginning of its name; a chapter counts one."""
+
+
+def _chapters(app: Any) -> set[str]:
+    """The chapters of the book: the notebooks in the parts before the record."""
+    parts = yaml.safe_load((Path(app.srcdir) / "_toc.yml").read_text())["parts"]
+    return {c["file"] for part in parts[:-2] for c in part["chapters"]}
+
+
+def _of_this_part(sidebar: str) -> Any:
+    """A sidebar with the pages of one part; of the others it has a link to the first page.
+
+    The parts of the contents but the last two are the book; those are the record and the library.
+    """
+    soup = BeautifulSoup(str(sidebar), "html.parser")
+    captions = soup.find_all("p", class_="caption")
+    lists = [caption.find_next_sibling("ul") for caption in captions]
+    where = next((i for i, ul in enumerate(lists) if ul.find(class_="current")), 0)
+    book = range(len(captions) - 2)
+    for i, (caption, pages) in enumerate(zip(captions, lists, strict=True)):
+        if i == where or (i in book and where in book):
+            continue
+        link = pages.find("a")
+        if i in book and i > 0:
+            caption.decompose()
+        else:
+            link.string = "A Few Numbers" if i == 0 else caption.get_text()
+            caption.clear()
+            caption.append(link.extract())
+        pages.decompose()
+    return soup
+
+
+def _write_texts(app: Any, exception: Exception | None) -> None:
+    texts = getattr(app.env, "seedslib_texts", {})
+    if exception is None and app.builder.format == "html":
+        text = "const TEXTS = " + json.dumps(texts, ensure_ascii=False) + ";\n"
+        (Path(app.outdir) / "_static" / "texts.js").write_text(text)
 
 
 def _literal_stars(app, what, name, thing, options, lines: list[str]) -> None:

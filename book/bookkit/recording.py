@@ -261,12 +261,14 @@ def evidence(entry: Mapping) -> list[str]:
 
 
 def claim_html(name: str, entry: Mapping) -> str:
-    """The box of a claim on a page."""
-    label, says = typeset(name), typeset(entry["says"])
+    """The badge of a claim on a page: verdict and place in one line, the rest folded."""
+    label = typeset(name)
+    place, _, says = entry["says"].partition(": ")
     detail = typeset("; ".join(evidence(entry)))
     return (
-        f'<div class="claim {entry["verdict"]}" id="{label}"><b>{label}</b> '
-        f'<span class="verdict">{entry["verdict"]}</span> {says}<br>{detail}</div>'
+        f'<details class="claim {entry["verdict"]}" id="{label}"><summary><span class="verdict">'
+        f"{entry['verdict']}</span> · <b>{label}</b> · {typeset(place)}</summary>"
+        f"<p>{typeset(says)}</p><p>{detail}</p></details>"
     )
 
 

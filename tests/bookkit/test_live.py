@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy
+import yaml
 from scipy.interpolate import interpn
 
 from bookkit import live
@@ -238,18 +239,29 @@ def test_surface_of_the_design_is_the_best_function():
 def test_errors_of_the_memories_are_those_of_the_tables():
     """As the chapters print them: root-mean-square errors of the switching systems, squared."""
     oscillator, scalar, target = data_of("memory")["systems"]
-    text = (live.BOOK.parent / "notebooks" / "lines_and_tables.ipynb").read_text()
-    for l, row in enumerate(("1", "2", "3", "4"), 1):
-        printed = re.search(rf'"{row} +\d\.\d+ +(\S+) +\d\.\d+ +([\d.]+)\\n"', text).groups()
-        for letter, value in zip("ey", printed, strict=True):
-            key = " ".join(f"{letter}{k + 1}" for k in range(l))
-            assert oscillator["found"][key][0] == pytest.approx(float(value), abs=2e-5)
+    claims = yaml.safe_load((live.BOOK / "claims.yml").read_text())
+    (mse,) = (claim["reference"] for claim in claims if claim["id"] == "JD-X1")
+    # after six of the Kalman filter: 1, 2, 3, 4 and 6 positions, then 1, 2, 4 and 8 measurements
+    rows = dict(zip(("e1", "e2", "e3", "e4"), mse[6:10], strict=True))
+    rows |= dict(zip(("y1", "y2", "y4"), mse[11:14], strict=True))
+    for last, value in rows.items():
+        key = " ".join(f"{last[0]}{k + 1}" for k in range(int(last[1])))
+        excess = 100 * (value / mse[5] - 1)
+        assert oscillator["found"][key][0] == pytest.approx(excess, abs=2e-5)
     assert target["found"]["e1 c"][0] == pytest.approx(100 * ((1.1106 / 0.956302) ** 2 - 1))
     assert target["found"]["e1 j"][0] == pytest.approx(100 * ((1.12534 / 0.956302) ** 2 - 1))
-    assert scalar["found"]["y1 y2"][0] == pytest.approx(100 * ((1.63912 / 1.24205) ** 2 - 1))
+    assert scalar["found"]["y1 y2"][0] == pytest.approx(100 * ((1.63904 / 1.24205) ** 2 - 1))
     assert scalar["best"]["e1"] == pytest.approx(100 * ((1.28347 / 1.24205) ** 2 - 1))
     assert "e1 y1" not in scalar["found"] | target["found"] | oscillator["found"]
 
+
+WIDE = """<link rel="stylesheet" href="../_static/claims.css">
+<style>:root { --pst-color-background: #fff; }</style>
+<mjx-container display="true" style="display: block"><p style="width: 700px">x</p></mjx-container>
+<div class="pst-scrollable-table-container"><p style="width: 700px">x</p></div>"""
+SHADOWS = """[...document.querySelectorAll("mjx-container, .pst-scrollable-table-container")].map(
+  (e) => [e, getComputedStyle(e)]).map(
+  ([e, s]) => [e.scrollWidth, e.clientWidth, s.overflowX, s.backgroundAttachment])"""
 
 HANDLES = {"flip": 5, "square": 0, "body": 0, "design": 0, "memory": 8}
 """The handle that is dragged, and then moved by a key."""
@@ -266,18 +278,19 @@ def answers(tmp_path_factory):
     page = folder / "book" / "page.html"
     pictures = "".join(path.read_text() for path in PATHS.values())
     head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
-    page.write_text(f"<!doctype html><html><head>{head}</head><body>{pictures}</body></html>")
+    page.write_text(f"<!doctype html><html><head>{head}</head><body>{pictures}{WIDE}</body></html>")
     here = Path(__file__).parent
     steps = [(here / "drag.js").read_text() + "; 0"]
     for name, handle in HANDLES.items():
         down = 10 if name == "memory" else -4  # into the memory, which lies below
         steps += [{"from": f"watch('live-{name}', {handle})", "by": [2, down]}]
         steps += [f"read('live-{name}', {handle})"]
+    steps.append(SHADOWS)
     told = json.dumps({"url": page.as_uri(), "width": 390, "height": 800, "steps": steps})
     command = [NODE, here / "chromium.js", CHROMIUM]
     done = subprocess.run(command, input=told, capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
-    return dict(zip(HANDLES, json.loads(done.stdout)[1:], strict=True))
+    return dict(zip([*HANDLES, "wide"], json.loads(done.stdout)[1:], strict=True))
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
@@ -292,3 +305,13 @@ def test_a_drag_is_answered_at_once(name, answers):
     assert found["wide"] <= 390
     assert found["ids"] == found["different"]
     assert found["least"] >= 12  # pixels: nine points
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+def test_a_wide_equation_or_table_scrolls_and_a_shadow_says_so(answers):
+    assert len(answers["wide"]) == 2
+    for whole, shown, overflow, ground in answers["wide"]:
+        assert whole > shown
+        assert overflow == "auto"
+        assert "local" in ground
+        assert "scroll" in ground
