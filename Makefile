@@ -52,7 +52,7 @@ types: setup
 	@$(VENV)/bin/basedpyright --pythonpath $(PY)
 
 clean:
-	rm -rf $(VENV) _build build runs book/claims.md book/figures .pytest_cache .ruff_cache
+	rm -rf $(VENV) _build build runs book/claims.md .pytest_cache .ruff_cache
 
 setup: $(VENV)/.installed
 

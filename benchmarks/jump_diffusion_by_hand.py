@@ -1,9 +1,7 @@
-"""The jump-diffusion examples by a second route: plain NumPy and SciPy, nothing of the library.
+"""Linear example and flip process by a second route: plain NumPy and SciPy, no random numbers.
 
-Run by hand, ``python benchmarks/jump_diffusion_by_hand.py`` (a few minutes); writes
-``benchmarks/jump_diffusion_by_hand.csv`` beside itself: the references of the ledger's own claims.
-Filters are written out from (6.2) and (6.3), steps of 0.01 by Euler and Maruyama; what needs no
-random numbers is in `jump_diffusion_exact.py`.
+Run by hand, ``python benchmarks/jump_diffusion_by_hand.py``; writes the references of two claims,
+``benchmarks/jump_diffusion_by_hand.csv``, beside itself. Nothing of the library is used.
 """
 
 from __future__ import annotations
@@ -12,196 +10,108 @@ import csv
 from pathlib import Path
 
 import numpy as np
-from jump_diffusion_exact import flip_errors, linear_errors
+from scipy.linalg import expm
+from scipy.sparse import csr_matrix
+from scipy.stats import norm
 
-DT = 0.01
-
-
-# Affine filters of simulated signals: regressions on the memory, closed-form corrections
-
-
-def regression(x: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Gamma, kappa, T of (6.3)."""
-    dx, du = x - x.mean(axis=1, keepdims=True), u - u.mean(axis=1, keepdims=True)
-    gain = np.linalg.lstsq(du.T, dx.T, rcond=1e-8)[0].T
-    rest = dx - gain @ du
-    return gain, x.mean(axis=1) - gain @ u.mean(axis=1), rest @ rest.T / x.shape[1]
+# Linear example: every variable is a vector of coefficients of independent unit variables
 
 
-def forecast(fit: tuple, u: np.ndarray) -> np.ndarray:
-    return fit[0] @ u + fit[1][:, None]
-
-
-def oscillator_step(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    w = np.sqrt(DT) * rng.standard_normal(x.shape[1])
-    pull = -((0.1 * np.pi) ** 2) * x[0] + 2 * x[1] * (1 - x[0] ** 2)
-    return np.array([x[0] + x[1] * DT, x[1] + pull * DT + x[0] * w])
-
-
-def oscillator_correction(m: np.ndarray, d: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Z of (6.2) for Y = (X1² + V1, X2 + V2), Gaussian version."""
-    h = np.array([m[0] ** 2 + d[0, 0], m[1]])
-    f11, f12 = 4 * m[0] ** 2 * d[0, 0] + 2 * d[0, 0] ** 2 + 1, 2 * m[0] * d[0, 1]
-    f22, (r1, r2) = d[1, 1] + 1, y - h
-    det = f11 * f22 - f12**2
-    s1, s2 = (f22 * r1 - f12 * r2) / det, (f11 * r2 - f12 * r1) / det
-    return np.array([m[i] + 2 * m[0] * d[i, 0] * s1 + d[i, 1] * s2 for i in range(2)])
-
-
-def oscillator_pass(paths: int, rng: np.random.Generator, design: dict | None):
-    """One pass: the design is made on the way, or used; estimates at nodes and true positions."""
-    fits = {} if design is None else design
-    x = np.array([[2.0], [0.0]]) + np.sqrt(0.15) * rng.standard_normal((2, paths))
-    truth, nodes, m = np.empty((301, paths)), np.empty((7, 6, paths)), None
-    for k in range(7):
-        y = np.array([x[0] ** 2, x[1]]) + rng.standard_normal((2, paths))
-        if k == 0:
-            if design is None:
-                fits[0] = regression(x, y)
-            z = forecast(fits[0], y)
+def linear_errors(kind: str, l: int, count: int = 21) -> np.ndarray:
+    """Mean-square errors of the position; `kind` is "state", "position" or "measurements"."""
+    drift = np.array([[0.0, 1.0], [-1.0, -0.4]])
+    wide = expm(0.5 * np.block([[-drift, np.diag([0.0, 1.0])], [np.zeros((2, 2)), drift.T]]))
+    move = wide[2:, 2:].T
+    root = np.linalg.cholesky(move @ wide[:2, 2:])
+    size = 3 * count  # x_0 or w_k, and v_k
+    x, memory, found = np.zeros((2, size)), [], []
+    for k in range(count):
+        own = np.zeros((2, size))
+        own[:, 3 * k : 3 * k + 2] = root if k else np.eye(2)
+        x = move @ x + own
+        y = x[:1].copy()
+        y[0, 3 * k + 2] = 0.5
+        if memory:
+            u = np.concatenate(memory)
+            gain = np.linalg.lstsq(u.T, x.T, rcond=1e-11)[0].T
+            mean = gain @ u
         else:
-            z = oscillator_correction(m, fits[k - 1, 5][2], y)
-        nodes[k, 0], truth[50 * k] = z[0], x[0]
-        for i in range(1, 6 if k < 6 else 1):
-            for j in range(10):
-                x = oscillator_step(x, rng)
-                truth[50 * k + 10 * (i - 1) + j + 1] = x[0]
-            if design is None:
-                fits[k, i] = regression(x, z)
-            m = forecast(fits[k, i], z)
-            nodes[k, i] = m[0]
-    return fits, truth, nodes
+            mean = 0 * x
+        spread = (x - mean) @ (x - mean).T
+        z = mean + spread[:, :1] / (spread[0, 0] + 0.25) @ (y - mean[:1])
+        kept = {"state": z, "position": z[:1], "measurements": y}[kind]
+        memory = [kept, *memory][:l]
+        found.append(((x - z)[0] ** 2).sum())
+    return np.array(found)
 
 
-def course(nodes: np.ndarray, kind: str) -> np.ndarray:
-    """Estimate of the position on the grid of 301 times by a kind of forecast."""
-    found = np.empty((301, nodes.shape[-1]))
-    for j in range(301):
-        k, s = min(j // 50, 6), j % 50
-        i, w = s // 10, (s % 10) / 10
-        here, back = nodes[k, i], nodes[k, i - 1] if i else None
-        if kind == "constant" or (kind == "linear" and k == 0):
-            found[j] = nodes[k, 0]
-        elif kind == "linear":
-            found[j] = nodes[k, 0] + (nodes[k, 0] - nodes[k - 1, 0]) * s / 50
-        elif kind == "interpolated":
-            found[j] = (1 - w) * here + (w * nodes[k, i + 1] if w else 0.0)
-        elif kind == "piecewise constant" or not w or (back is None and kind != "literal"):
-            found[j] = here
+# Flip process: the recursion (4.4) to (4.10) on a grid
+
+
+def flip_chain(nodes: int, span: float = 0.25) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """States, start and transition over a time: fitted fluxes, jumps by landing probabilities."""
+    x = np.linspace(-3.5, 3.5, nodes)
+    h = x[1] - x[0]
+    face = (x[1:] + x[:-1]) / 2
+    q = (face - face**3) * h / 0.125
+    ahead = np.where(np.abs(q) < 1e-9, 1.0, q / np.expm1(np.where(np.abs(q) < 1e-9, 1.0, q)))
+    up, down = 0.125 / h**2 * (ahead + q), 0.125 / h**2 * ahead
+    rates = np.diag(up, -1) + np.diag(down, 1)
+    edges = np.concatenate([[-np.inf], face, [np.inf]])
+    landing = np.diff(norm.cdf(edges[:, None], -x, 0.3), axis=0)
+    rates = rates + (0.3 + 0.2 * x**2) * landing
+    rates -= np.diag(rates.sum(axis=0))
+    return x, np.diff(norm.cdf(edges, 1.0, 0.5)), expm(span * rates)
+
+
+def split(values: np.ndarray, axis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lower neighbour and upper weight that keep the mean."""
+    place = np.clip((values - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
+    low = np.minimum(place.astype(int), len(axis) - 2)
+    return low, place - low
+
+
+def flip_errors(rule: str, l: int, sizes: tuple[int, int, int], count: int = 13) -> np.ndarray:
+    """E(X - Z)² after each measurement; `rule` is "exact", "gaussian" or "linearised"."""
+    x, dist, move = flip_chain(sizes[0])
+    axis, y = np.linspace(-3, 3, sizes[1]), np.linspace(-8, 8, sizes[2])
+    spread = 0.25 + 0.09 * x**2
+    likely = np.exp(-0.5 * (y[:, None] - x) ** 2 / spread) / np.sqrt(2 * np.pi * spread)
+    likely *= (y[1] - y[0]) * np.where(np.isin(np.arange(len(y)), [0, len(y) - 1]), 0.5, 1)[:, None]
+    joint, memory, found = dist[None], np.zeros((0, 1)), []  # (cells, states), (blocks, cells)
+    for k in range(count):
+        if k:
+            joint = joint @ move.T
+        mass = likely @ joint.T  # (measurements, cells)
+        if rule == "exact":
+            f = (likely * x) @ joint.T / np.where(mass > 1e-300, mass, np.inf)
         else:
-            if back is None:  # the slope across the measurement
-                back = nodes[k - 1, 4] if k else here
-            found[j] = here + (here - back) * w
-    return found
-
-
-KINDS = ("interpolated", "literal", "first constant", "constant", "linear")
-
-
-def forecast_kinds(train: int, test: int, seed: int) -> list[tuple[str, float, float]]:
-    """Time-averaged RMS error less that of the piecewise constant forecast; by 40 batches."""
-    one, two = np.random.SeedSequence(seed).spawn(2)
-    fits = oscillator_pass(train, np.random.default_rng(one), None)[0]
-    _, truth, nodes = oscillator_pass(test, np.random.default_rng(two), fits)
-    squares = {
-        kind: ((course(nodes, kind) - truth) ** 2).mean(axis=0)
-        for kind in ("piecewise constant", *KINDS)
-    }
-    return [(kind, *apart(squares[kind], squares["piecewise constant"])) for kind in KINDS]
-
-
-def apart(one: np.ndarray, two: np.ndarray) -> tuple[float, float]:
-    """Difference of two root-mean-squares on the same paths, and its standard error."""
-    a, b = np.sqrt(one.mean()), np.sqrt(two.mean())
-    each = (one - one.mean()) / (2 * a) - (two - two.mean()) / (2 * b)
-    return float(a - b), float(each.std() / np.sqrt(len(one)))
-
-
-# Kicked Duffing oscillator
-
-
-def duffing_rates(m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Velocity with the mean of the kicks, and the intensity."""
-    mu = 0.2 + 0.2 * m[0] ** 2
-    return np.array([m[1], m[0] - m[0] ** 3 - 0.5 * m[1] + 0.5 * mu]), mu
-
-
-def duffing_step(x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    b, mu = duffing_rates(x)
-    kicked = rng.random(x.shape[1]) < 1 - np.exp(-mu * DT)
-    kick = kicked * (0.5 + 3 * rng.standard_normal(x.shape[1]))
-    noise = 0.2 * np.sqrt(DT) * rng.standard_normal(x.shape[1])
-    return x + DT * np.array([b[0], b[1] - 0.5 * mu]) + np.array([0 * kick, noise + kick])
-
-
-def duffing_correction(m, d, y, gaussian=True):
-    """Z and its covariance for Y = X1 (1 + 0.2 V1) + V2; d may have a path axis."""
-    f = d[0, 0] + 0.04 * (m[0] ** 2 + (d[0, 0] if gaussian else 0)) + 1
-    gain = np.array([d[0, 0] / f, d[1, 0] / f])
-    cov = np.array([[d[i, j] - gain[i] * d[0, j] for j in range(2)] for i in range(2)])
-    return m + gain * (y - m[0]), cov
-
-
-def ekf_slope(m: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    b, mu = duffing_rates(m)
-    a21 = 1 - 3 * m[0] ** 2 + 0.2 * m[0]
-    p12 = p[1, 1] + a21 * p[0, 0] - 0.5 * p[0, 1]
-    p22 = 2 * (a21 * p[0, 1] - 0.5 * p[1, 1]) + 0.04 + 9.25 * mu
-    return b, np.array([[2 * p[0, 1], p12], [p12, p22]])
-
-
-def duffing_pass(paths: int, rng: np.random.Generator, design: dict | None):
-    """Squared errors of the position at 13 measurements for four filters."""
-    fits = {} if design is None else design
-    x = np.array([[1.0], [0.0]]) + np.sqrt(0.1) * rng.standard_normal((2, paths))
-    m = np.broadcast_to(np.array([[1.0], [0.0]]), x.shape)
-    p = np.broadcast_to(0.1 * np.eye(2)[:, :, None], (2, 2, paths))
-    squares = {name: np.empty((13, paths)) for name in ("both", "position", "continuous", "EKF")}
-    wild, u = np.zeros(paths, bool), {}
-    for k in range(13):
-        y = x[0] * (1 + 0.2 * rng.standard_normal(paths)) + rng.standard_normal(paths)
-        if k == 0 and design is None:
-            fits["start"] = regression(x, y[None])
-        for name in ("both", "position", "continuous"):
-            if k == 0:
-                z = forecast(fits["start"], y[None])
-            else:
-                fit = fits[name, k]
-                z, _ = duffing_correction(forecast(fit, u[name]), fit[2], y, name != "continuous")
-            u[name] = z[:1] if name == "position" else z
-            squares[name][k] = (z[0] - x[0]) ** 2
-        m, p = duffing_correction(m, p, y, gaussian=False)
-        squares["EKF"][k] = (m[0] - x[0]) ** 2
-        wild |= ~(np.abs(m).max(axis=0) < 20)
-        m = np.where(wild, 0.0, m)
-        p = np.where(wild, np.eye(2)[:, :, None], p)
-        for j in range(50 if k < 12 else 0):
-            if design is None:
-                fits["flow", k, j] = regression(x, u["continuous"])
-            rate, _ = duffing_rates(forecast(fits["flow", k, j], u["continuous"]))
-            u["continuous"] = u["continuous"] + DT * rate
-            a = ekf_slope(m, p)
-            b = ekf_slope(m + DT / 2 * a[0], p + DT / 2 * a[1])
-            c = ekf_slope(m + DT / 2 * b[0], p + DT / 2 * b[1])
-            d = ekf_slope(m + DT * c[0], p + DT * c[1])
-            m, p = (
-                old + DT / 6 * (a[i] + 2 * b[i] + 2 * c[i] + d[i]) for i, old in enumerate((m, p))
+            weight = joint.sum(axis=1)
+            u = np.concatenate([np.ones((1, len(weight))), memory])
+            gain = np.linalg.lstsq((u * weight) @ u.T, u @ (joint @ x), rcond=1e-12)[0]
+            m = gain @ u
+            t = (joint * (x - m[:, None]) ** 2).sum()
+            s = t + 0.09 * (m**2 + (t if rule == "gaussian" or k == 0 else 0)) + 0.25
+            f = m + t / s * (y[:, None] - m)
+        found.append(0.0)
+        new = np.zeros((len(axis) ** min(k + 1, l), len(x)))
+        older = len(axis) ** (min(k + 1, l) - 1)
+        cells = np.arange(joint.shape[0])
+        kept = cells // (joint.shape[0] // older)  # newest block first: the oldest is dropped
+        for j in range(len(y)):
+            low, upper = split(f[j], axis)
+            part = joint * likely[j]
+            rows = np.concatenate([low * older + kept, (low + 1) * older + kept])
+            push = csr_matrix(
+                (np.concatenate([1 - upper, upper]), (rows, np.tile(cells, 2))),
+                shape=(len(new), len(cells)),
             )
-            x = duffing_step(x, rng)
-        if design is None and k < 12:
-            for name, memory in u.items():
-                fits[name, k + 1] = regression(x, memory)
-    return fits, {name: row[4:, ~wild].mean(axis=0) for name, row in squares.items()}
-
-
-def duffing_differences(train: int, test: int, seed: int) -> list[tuple[str, float, float]]:
-    """RMS error from the fifth measurement on, less that of the affine filter of order one."""
-    one, two = np.random.SeedSequence(seed).spawn(2)
-    fits = duffing_pass(train, np.random.default_rng(one), None)[0]
-    squares = duffing_pass(test, np.random.default_rng(two), fits)[1]
-    return [
-        (name, *apart(squares[name], squares["both"])) for name in ("position", "continuous", "EKF")
-    ]
+            new += push @ part
+            found[-1] += (part * (x - f[j][:, None]) ** 2).sum()
+        joint = new
+        blocks = np.meshgrid(*[axis] * min(k + 1, l), indexing="ij")
+        memory = np.array([block.ravel() for block in blocks])
+    return np.array(found)
 
 
 SHOWN = [0, 1, 2, 4, 6, 8, 12]
@@ -214,10 +124,6 @@ def main() -> None:
     for kind, orders in (("position", (1, 2, 3, 4, 6)), ("measurements", (1, 2, 4, 8))):
         for l in orders:
             rows.append(("JD-X1", f"last {kind}, l = {l}", linear_errors(kind, l)[-1], 0.0))
-    for name, value, error in duffing_differences(40_000, 100_000, 1):
-        rows.append(("JD-X3", name, value, error))
-    for name, value, error in forecast_kinds(60_000, 60_000, 1):
-        rows.append(("JD-X4", name, value, error))
     for rule, l, sizes in (
         ("exact", 1, (281, 601, 241)),
         ("gaussian", 1, (281, 601, 241)),

@@ -1,7 +1,7 @@
-"""Time of a step of compiled filters beside NumPy, dynamax and filterpy, and the memory's floor.
+"""Time of a step of compiled filters beside C, NumPy and dynamax.
 
 Run by hand, ``python benchmarks/native.py``; writes ``benchmarks/native.csv`` beside itself. Wants
-a C compiler called ``cc``; dynamax and filterpy take part where they are installed. Four states,
+a C compiler called ``cc``; dynamax takes part where it is installed. Four states,
 two measured numbers, double precision, one core. A step is the forecast to a measurement and the
 correction by it; mean, covariance and likelihood of every step are handed out, but by dynamax,
 which gives the likelihood of a record only.
@@ -12,12 +12,10 @@ unscented filter of a target of which range and bearing are measured; an IMM fil
 moves in three ways.
 
 "compiled" and "NumPy" are `run` of 4096 records of 31 measurements at once, dynamax is compiled and
-vectorised over them, filterpy runs ten of them one after the other. "C" is the exported header, one
-record after the other. "compiled, one record" is a record step by step from Python, and "floats,
-one record" that of the filter itself; "floats, whole record" is its `run`. All run in one process,
-repetitions interleaved; of each the shortest processor time counts. `floor` is the time that the
-numbers of a step, read or written once, take at the speed at which this machine copies
-arrays, and `ratio` how many times that a filter takes.
+vectorised over them. "C" is the exported header, one record after the other. "compiled, one record"
+is a record step by step from Python, and "floats, one record" that of the filter itself; "floats,
+whole record" is its `run`. All run in one process, repetitions interleaved; of each the shortest
+processor time counts.
 """
 
 from __future__ import annotations
@@ -45,7 +43,7 @@ from seedslib.filters import KalmanFilter, extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
 
-TIMES, TRACKS, FEW, ROUNDS = np.arange(31.0), 4096, 10, 60
+TIMES, TRACKS, ROUNDS = np.arange(31.0), 4096, 60
 
 x = x1, x2, x3, x4 = sympy.symbols("x1:5", real=True)
 w, v = sympy.symbols("w1:5", real=True), sympy.symbols("v1:3", real=True)
@@ -111,7 +109,7 @@ def filters() -> dict[str, Any]:
     }
 
 
-# Other programs: work on records (tracks, K, 2), by filter
+# Another program: work on records (tracks, K, 2), by filter
 
 
 def dynamax(records: dict[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
@@ -155,71 +153,6 @@ def dynamax(records: dict[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
         return lambda: jax.block_until_ready(run(y))
 
     return {name: work(name, one) for name, one in each.items()}
-
-
-def filterpy(records: dict[str, np.ndarray]) -> dict[str, Callable[[], Any]]:
-    if not importlib.util.find_spec("filterpy"):
-        return {}
-    from filterpy import kalman as peers
-
-    def given(made: Any, mean: np.ndarray, cov: np.ndarray, noise: np.ndarray) -> Any:
-        made.x, made.P, made.Q, made.R = mean.copy(), cov.copy(), Q, noise
-        return made
-
-    def linear(move: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Any:
-        made = given(peers.KalmanFilter(4, 2), mean, cov, R)
-        made.F, made.H = move, H
-        return made
-
-    class Extended(peers.ExtendedKalmanFilter):
-        def predict_x(self, u: float = 0) -> None:
-            p, q = self.x[:2]
-            self.F = F.copy()
-            self.F[2:, 2:] = 0.95 * np.eye(2)
-            self.F[2:, :2] = [[-0.2 - 0.06 * p * p, 0.1], [0.1, -0.2 - 0.06 * q * q]]
-            self.x = np.array(duffing(self.x))
-
-    def slope(x: np.ndarray) -> np.ndarray:
-        return np.array([[1.0, 0.2 * x[1], 0, 0], [0.1 * x[2], 1.0, 0.1 * x[0], 0]])
-
-    def kalman(y: np.ndarray) -> None:
-        linear(F, np.zeros(4), np.eye(4)).batch_filter(y)
-
-    def extended(y: np.ndarray) -> None:
-        made = given(Extended(4, 2), np.zeros(4), np.eye(4), R)
-        for row in y:
-            made.update(row, slope, lambda x: np.array(squares(x)))
-            made.predict()
-
-    def unscented(y: np.ndarray) -> None:
-        points = peers.MerweScaledSigmaPoints(4, 1.0, 0.0, 0.0)
-        made = peers.UnscentedKalmanFilter(
-            4,
-            2,
-            1.0,
-            lambda x: np.array([np.hypot(x[0], x[1]), np.arctan2(x[1], x[0])]),
-            lambda x, dt: np.array(turned(x, 0.0)),
-            points,
-        )
-        given(made, *TARGET, BEARING).batch_filter(y)
-
-    def imm(y: np.ndarray) -> None:
-        move = [np.array([turned(e, g) for e in np.eye(4)]).T for g in TURNS]
-        made = peers.IMMEstimator([linear(A, *TARGET) for A in move], [1 / 3] * 3, STAY)
-        for row in y:
-            made.update(row)
-            made.predict()
-
-    each = {
-        "Kalman": kalman,
-        "extended, polynomial": extended,
-        "unscented": unscented,
-        "IMM, three modes": imm,
-    }
-    return {
-        name: lambda one=one, y=records[name][:FEW]: [one(record) for record in y]
-        for name, one in each.items()
-    }
 
 
 # Ours
@@ -275,7 +208,7 @@ def programs(folder: str) -> Iterator[tuple[str, str, Callable[[], Any], int]]:
     }
     records = {name: np.ascontiguousarray(np.moveaxis(part, -1, 0)) for name, part in y.items()}
     scalar = in_c(made, records, folder)
-    peers = {"dynamax": (dynamax(records), TRACKS), "filterpy": (filterpy(records), FEW)}
+    peer = dynamax(records)
     for name, filter in made.items():
         twin, own = compiled(filter), y[name]
         more = {"covariances": True} if "covariances" in filter.takes else {}
@@ -286,19 +219,8 @@ def programs(folder: str) -> Iterator[tuple[str, str, Callable[[], Any], int]]:
         yield name, "compiled, one record", lambda f=twin, y=one: steps(f, y), 1
         yield name, "floats, one record", lambda f=filter, y=one: steps(f, y), 1
         yield name, "floats, whole record", lambda f=filter, y=one, o=more: f.run(TIMES, y, **o), 1
-        for program, (work, count) in peers.items():
-            if name in work:
-                yield name, program, work[name], count
-
-
-def bandwidth() -> float:
-    """Bytes a second, read and written, at which large arrays are copied."""
-    a, b, best = np.ones(2**23), np.ones(2**23), np.inf
-    for _ in range(ROUNDS):
-        begin = time.process_time()
-        np.copyto(a, b)
-        best = min(best, time.process_time() - begin)
-    return 2 * a.nbytes / best
+        if name in peer:
+            yield name, "dynamax", peer[name], TRACKS
 
 
 def processor() -> str:
@@ -323,16 +245,12 @@ def main() -> None:
                     work()
                     spent = (time.process_time() - begin) / count / len(TIMES)
                     best[name, program] = min(best.get((name, program), np.inf), spent)
-    speed = bandwidth()
-    about = f"{processor()}, {speed / 1e9:.1f} GB/s, load {load:.1f} to {os.getloadavg()[0]:.1f}"
+    about = f"{processor()}, load {load:.1f} to {os.getloadavg()[0]:.1f}"
     with Path(__file__).with_suffix(".csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["filter", "program", "nanoseconds", "floor", "ratio", "machine"])
+        writer.writerow(["filter", "program", "nanoseconds", "machine"])
         for k, ((name, program), seconds) in enumerate(best.items()):
-            numbers = 2 + 4 + 16 + 1 + 4 * name.startswith("IMM")  # with modes and probabilities
-            floor = 8e9 * numbers / speed
-            row = [name, program, f"{1e9 * seconds:.4g}", f"{floor:.3g}"]
-            row += [f"{1e9 * seconds / floor:.3g}", about if k == 0 else ""]
+            row = [name, program, f"{1e9 * seconds:.4g}", about if k == 0 else ""]
             writer.writerow(row)
             print(*row)
 

@@ -1,20 +1,16 @@
-"""The falling body under every reading of its illegible entries.
+"""The falling body under every reading of its illegible entries; some minutes.
 
-Run by hand, ``python benchmarks/piecewise_readings.py``; writes
-``benchmarks/piecewise_readings.csv`` beside itself. A reading is a sensor noise H, a deviation of
-the range in the prior, a speed at t = 0 (which stands for the time index of the coefficient K)
-and a mean of the range in the prior, other than 27.5 km for bodies from rest and H = 1e-3 only.
-For each of them, and for bodies at 5 km, at 50 km and, with the mean 27.5, drawn from the prior
-between the two, a line of the table is a quantity at t = 1 to 10:
+Run by hand, ``python benchmarks/piecewise_readings.py``; writes a ``.csv`` of its name beside
+itself. A reading is a sensor noise H, a standard deviation of the range in the prior, a
+speed at t = 0 (for the time index of the coefficient K) and a mean of the range, other than
+27.5 km for bodies from rest and H = 1e-3 only. A line is a quantity at t = 1 to 10, for bodies at
+5 km, at 50 km and, with the mean 27.5, drawn from the prior between the two:
 
-* ``r``, ``tau``, ``ekf_r``, ``ekf_tau``: relative error and mean squared error over claimed
+* ``r``, ``tau``, ``ekf_r``, ``ekf_tau``: relative error and mean squared error over reported
   variance of the piecewise-linear and of the extended Kalman filter; ``ekf_median`` the median
-  of what ``ekf_tau`` averages, ``ekf_axis`` the share of averages over 20 records between 10
-  and 25;
+  of what ``ekf_tau`` averages, ``ekf_axis`` the share of averages over 20 runs between 10 and 25;
 * ``relative x``, ``absolute x``: how many weights reach x times the largest one, or x;
 * ``cumulative x``: how many of the largest weights together leave less than x.
-
-The notebook of the readings runs `study` on other records and compares.
 """
 
 from __future__ import annotations

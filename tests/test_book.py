@@ -51,6 +51,21 @@ def test_verdicts_in_the_readme_are_those_of_the_ledger():
         assert [int(n) for n in numbers[0].split("|")[:4]] == wanted, row
 
 
+def test_lines_of_the_scans_name_claims_of_their_paper_and_have_readings_that_can_be_set():
+    papers = {c.id: c.paper for c in claims.read_ledger(ROOT / claims.LEDGER)}
+    rows = yaml.safe_load((ROOT / "book/concordance.yml").read_text())
+    places = [(row["paper"], row["place"]) for row in rows]
+    assert len(set(places)) == len(places)
+    for row in rows:
+        assert {papers[id] for id in row.get("claims", [])} <= {row["paper"]}, row["place"]
+        assert row["line"].strip("`") == row["line"] != "", row["place"]
+        reading = re.sub(r"\\[{}]", "", row["reading"])
+        depths = [
+            reading[:end].count("{") - reading[:end].count("}") for end in range(len(reading))
+        ]
+        assert min(depths) == 0 == reading.count("{") - reading.count("}"), row["place"]
+
+
 def test_filters_that_the_readme_names_are_in_the_library():
     table = (ROOT / "README.md").read_text().partition("| your problem |")[2].partition("\n\n")[0]
     names = re.findall(r"`(\w+)\.(\w+)`", table)

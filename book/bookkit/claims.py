@@ -76,7 +76,9 @@ class Claim(BaseModel):
     notebook: Annotated[str, Field(pattern=r"^notebooks/\w+\.md$")]
     printed: Numbers = None
     reference: Numbers = None
-    source: Annotated[str, Field(pattern=r"^benchmarks/[\w/]+\.(py|csv)$")] | None = None
+    source: (
+        Annotated[str, Field(pattern=r"^(benchmarks|tests/oracles)/[\w/]+\.(py|csv)$")] | None
+    ) = None
     tolerance: Numbers = None
     because: str = ""
     printed_formula: str | None = None

@@ -144,8 +144,8 @@ def memory() -> dict[str, Any]:
     told = "Kalman told the modes"
     rows = [
         ("position of an oscillator", "Kalman", _oscillator(), {}),
-        ("two modes, ambiguous sensor", "Bayes", *_table("scalar", "A2", "grid Bayes")),
-        ("position of a target", told, *_table("order", "B noisy", "known modes")),
+        ("two modes, ambiguous sensor", "Bayes", *_table("A2", "grid Bayes")),
+        ("position of a target", told, *_table("B noisy", "known modes")),
     ]
     keys = ("name", "reference", "found", "best")
     return {"systems": [dict(zip(keys, row, strict=True)) for row in rows]}
@@ -167,13 +167,13 @@ def _oscillator() -> dict[str, list[float]]:
     return found
 
 
-def _table(file: str, system: str, reference: str) -> tuple[dict[str, Any], dict[str, float]]:
+def _table(system: str, reference: str) -> tuple[dict[str, Any], dict[str, float]]:
     """Excess and its standard error by memory, Gaussian functions, and that of the best ones."""
     kept = {"soft FBP-G 1": "e1 c", "FBP-G 1 with indicator": "e1 j"}
     for l in range(1, 5):
         kept |= {f"FBP-G {l}": _last("e", l), f"FKP-G {l}": _last("y", l)}
-    with (BOOK.parent / "benchmarks" / f"switching_{file}.csv").open() as lines:
-        rows = [row for row in csv.reader(lines) if row[0] in ("average", "error")]
+    with (BOOK.parent / "benchmarks" / "switching_order.csv").open() as lines:
+        rows = [row for row in csv.reader(lines) if row[0] == "error"]
     rows = {row[2]: (float(row[-2]), float(row[-1])) for row in rows if row[1] == system}
     base, doubt = rows[reference]
     found, best = {}, {}

@@ -2,7 +2,7 @@
 
 Recorded numbers are substitutions in the text of any page, ``{{ '%.3f' % notebook__name }}``, the
 entries of a list ``notebook__name_0`` and so on. So are the counts of verdicts on a paper. The
-claims page and the figures that pages borrow from notebooks are written when the build begins.
+claims page is written when the build begins.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ def substitutions(root: Path) -> dict[str, Any]:
         name = group.replace("-", "_")
         result[f"verdicts__{name}"] = paper_counts(own)
         result[f"findings__{name}"] = counts(c for c in own if c.origin == "ours")
+        result[f"errata__{name}"] = errata(own)
     return result
 
 
@@ -55,6 +56,21 @@ def paper_counts(claims: Iterable[Claim]) -> str:
     said = counts(c for c in claims if c.origin in ("stated", "restored"))
     implied = counts(c for c in claims if c.origin == "implied")
     return f"{said}; of what it only implies {implied}" if implied else said
+
+
+def errata(claims: Iterable[Claim]) -> str:
+    """What a paper says that is not reproduced, as a table in MyST text."""
+    lines = ["| place | the paper says | verdict |", "|---|---|---|"]
+    for claim in claims:
+        if claim.origin != "ours" and claim.verdict != "reproduced":
+            said = " ".join(claim.statement.split()).replace("|", r"\|")
+            if claim.corrected_formula:
+                said += f" Right: {claim.corrected_formula}.".replace("|", r"\|")
+            link = (
+                f'<a href="../{claim.notebook.removesuffix(".md")}.html#{claim.id}">{claim.id}</a>'
+            )
+            lines.append(f"| {claim.place} | {said} | {claim.verdict}, {link} |")
+    return "\n".join(lines)
 
 
 def claims_page(root: Path) -> str:
@@ -131,20 +147,6 @@ def _box(claim: Claim, recorded: dict[str, dict[str, dict]]) -> str:
     return box.removesuffix("</p></details>") + f" ({link})</p></details>"
 
 
-def figures(root: Path) -> dict[str, bytes]:
-    """The figures of notebooks that pages show again as ``figures/NAME.png``, by that name."""
-    text = "".join(path.read_text() for path in (root / "book").glob("*.md"))
-    wanted = set(re.findall(r"figures/([\w-]+)\.png", text))
-    return {
-        name: base64.b64decode(output["data"]["image/png"])
-        for path in (root / "notebooks").glob("*.ipynb")
-        for cell in json.loads(path.read_text())["cells"]
-        for output in cell.get("outputs", [])
-        if (name := cell["metadata"].get("mystnb", {}).get("figure", {}).get("name")) in wanted
-        and "image/png" in output.get("data", {})
-    }
-
-
 def as_shown(notebook: dict) -> dict:
     """A notebook as its page shows it: without the printed records, figures at their own size."""
     for cell in notebook["cells"]:
@@ -168,9 +170,6 @@ def setup(app: Any) -> dict[str, bool]:
     """Called by Sphinx."""
     root = Path(app.srcdir)
     (root / "book" / "claims.md").write_text(claims_page(root))
-    (root / "book" / "figures").mkdir(exist_ok=True)
-    for name, picture in figures(root).items():
-        (root / "book" / "figures" / f"{name}.png").write_bytes(picture)
     app.config.myst_substitutions = substitutions(root)
     app.connect("source-read", _read_source)
     app.connect("html-page-context", _page, priority=900)  # after the theme has made the sidebar

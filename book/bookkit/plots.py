@@ -146,19 +146,6 @@ def _picture(figure: Figure) -> bytes:
     return small.getvalue()
 
 
-def curve(ax: Axes, x: Any, y: Any, *, label: str | None = None, **options: Any) -> None:
-    """Line with about ten markers, however many points it has."""
-    every = max(1, len(x) // 10)
-    ax.plot(x, y, label=label, markevery=every, **options)
-
-
-def band(ax: Axes, x: Any, y: Any, error: Any, *, label: str | None = None) -> None:
-    """Monte Carlo curve with a band of two standard errors on either side."""
-    every = max(1, len(x) // 10)
-    (line,) = ax.plot(x, y, label=label, markevery=every)
-    ax.fill_between(x, y - 2 * error, y + 2 * error, color=line.get_color(), alpha=0.2, linewidth=0)
-
-
 def finish(ax: Axes, *, x: str, y: str, title: str = "", legend: bool = True) -> None:
     """Label the axes (quantity and unit), and show the legend where there is something to tell."""
     ax.set_xlabel(x)

@@ -58,6 +58,8 @@ def as_real(
     array = array.astype(float)
     if shape is not None:
         require_shape(name, array, shape)
+    if (nan and infinite) or np.isfinite(array).all():
+        return array
     bad = ~(np.isfinite(array) | (nan & np.isnan(array)) | (infinite & np.isinf(array)))
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])

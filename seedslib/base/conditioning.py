@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import reduce
-from operator import add, mul, or_
+from operator import add, mul
 from typing import Any
 
 import numpy as np
@@ -125,18 +125,25 @@ def update(
             missing = len(some) - some.sum(axis=0)
             cov_batch = batch_shape(cov_batch, observed.shape[1:])
 
-    given = mean, cov, innovation, cross, innovation_cov
+    # for few items whole vectors and covariances are quicker than components
+    whole = cov is not None and depth > 0 and math.prod(batch) < len(cov) ** 2
+    given = mean, None if whole else cov, innovation, cross, innovation_cov
     lists = [None if part is None else _components(part, depth) for part in given]
-    prior = [] if cov is None else [row[k] for k, row in enumerate(lists[1])]
+    if whole:
+        lists[0], lists[3] = [mean], [list(cross.swapaxes(0, 1))]
     reciprocals = Reciprocals(depth > 0)
     terms, pivots = eliminate(*lists, reciprocals)
     full, cov_full = ((1,) * (depth - len(axes)) + axes for axes in (batch, cov_batch))
     new_mean = np.empty((len(mean), *full))
-    for k, component in enumerate(lists[0]):
-        new_mean[k] = component
-    new_cov = None if cov is None else _filled(lists[1], cov_full)
+    if whole:
+        new_mean[...] = lists[0][0]
+        new_cov = _corrected(cov, lists[3][0], reciprocals.inverses, cov_full)
+    else:
+        for k, component in enumerate(lists[0]):
+            new_mean[k] = component
+        new_cov = None if cov is None else _filled(lists[1], cov_full)
 
-    terms.append(_log_product(pivots, depth))
+    terms.append(_log_product(pivots))
     count = len(pivots) - missing
     for j, (left_out, variance) in reciprocals.redundant.items():
         count = count - left_out
@@ -149,7 +156,7 @@ def update(
     loglik[...] = -0.5 * reduce(add, terms)
 
     if noise is not None and cov is not None and len(innovation):
-        narrow = reduce(or_, [row[k] < WIDE * prior[k] for k, row in enumerate(lists[1])])
+        narrow = (variances(new_cov) < WIDE * variances(cov)).any(axis=0)
         if np.any(narrow):
             R = align(np.asarray(noise(), dtype=float), 2, depth)
             R = R if observed.all() else _without_missing(R, observed)
@@ -211,6 +218,19 @@ def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
     return full
 
 
+def _corrected(
+    cov: np.ndarray, columns: list[np.ndarray], inverses: list[Any], batch: tuple[int, ...]
+) -> np.ndarray:
+    """P - C S⁻¹ Cᵀ at once, of what `eliminate` makes of C and of the pivots of S."""
+    full = np.empty((*cov.shape[:2], *batch))
+    full[...] = cov
+    for column, inverse in zip(columns, inverses, strict=True):
+        full -= (column * inverse)[:, None] * column
+    for k in range(1, len(cov)):
+        full[:k, k] = full[k, :k]
+    return full
+
+
 def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """Covariance of the components of y that some item has; those an item misses have variance one.
 
@@ -224,12 +244,11 @@ def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
     return np.where(observed & observed[:, None], cov, identity)
 
 
-def _log_product(pivots: list[Any], depth: int) -> Any:
+def _log_product(pivots: list[Any]) -> Any:
     """Logarithm of the determinant: one of the product of the pivots where that is a number."""
-    if depth:
-        with np.errstate(over="ignore"):
-            product = reduce(mul, pivots, 1.0)
-    else:
+    if len(pivots) == 1:
+        return np.log(pivots[0])
+    with np.errstate(over="ignore"):
         product = reduce(mul, pivots, 1.0)
     if np.all((product > ABSOLUTE) & (product < np.inf)):
         return np.log(product)

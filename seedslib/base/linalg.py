@@ -7,6 +7,7 @@ component is an array over the batch, a float, a SymPy expression or a node of a
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable
 from functools import lru_cache, reduce
@@ -26,6 +27,9 @@ ABSOLUTE = sys.float_info.min
 
 INDEFINITE = 1e-9
 """A pivot below minus this fraction of its variance is no rounding error: no covariance."""
+
+FEW = 1000
+"""Items of a batch of which a matrix stays in the processor's cache."""
 
 NEGATIVE = 1e-12
 """An eigenvalue below minus this, in units of the deviations, is raised to it and reported."""
@@ -129,13 +133,15 @@ class Reciprocals:
 
     Attributes
     ----------
+    inverses : list
+        Those of the pivots so far.
     redundant : dict
         Components that are redundant somewhere: where, and their variances.
     """
 
     def __init__(self, batched: bool) -> None:
         self.everywhere: Callable[[Any], bool] = np.ndarray.all if batched else bool
-        self.count = 0
+        self.inverses: list[Any] = []
         self.redundant: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
@@ -144,11 +150,11 @@ class Reciprocals:
         if self.everywhere(regular):
             inverse = 1.0 / pivot
         else:
-            self.redundant[self.count] = np.logical_not(regular), variance
+            self.redundant[len(self.inverses)] = np.logical_not(regular), variance
             broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
             pivot = np.where(regular, pivot, 1.0)
             inverse = np.where(broken, np.nan, regular / pivot)
-        self.count += 1
+        self.inverses.append(inverse)
         return inverse, pivot
 
 
@@ -170,11 +176,13 @@ def solve_psd(S: np.ndarray, B: np.ndarray) -> np.ndarray:
     depth = max(S.ndim, B.ndim) - 2
     S, B = align(S, 2, depth), align(B, 2, depth)
     factor = [list(row) for row in S] if depth else S.tolist()
-    # Bᵀ S⁻¹ is what unit innovations of covariance S add to a vector with cross-covariance Bᵀ
-    columns, units = [0.0] * B.shape[1], list(align(np.eye(len(S)), 2, depth))
-    cross = [list(row) for row in B.swapaxes(0, 1)]
-    eliminate(columns, None, units, cross, factor, Reciprocals(depth > 0))
-    return np.stack(columns, axis=1)
+    # Bᵀ S⁻¹ is what unit innovations of covariance S add to a vector with cross-covariance Bᵀ;
+    # of few items all columns of B are one component
+    width = B.shape[1] if B[0, 0].size <= FEW else 1
+    cross = [list(B[:, q : q + width, None]) for q in range(0, B.shape[1], width)]
+    units, sums = list(align(np.eye(len(S)), 2, depth)[:, None]), [0.0] * len(cross)
+    eliminate(sums, None, units, cross, factor, Reciprocals(depth > 0))
+    return np.concatenate(sums).swapaxes(0, 1)
 
 
 def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -215,8 +223,12 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     P = np.asarray(P, dtype=float)
     n = len(P)
     L = np.zeros_like(P)
-    # lists of components: for few of them and many items faster than slices
-    rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]
+    # lists of components are faster than slices, but for many of them and few items
+    few = P.ndim > 2 and math.prod(P.shape[2:]) < n * n
+    if few:
+        rest = P.copy()
+    else:
+        rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]
     for j in range(n):
         pivot, variance = rest[j][j], np.abs(P[j, j])
         regular = pivot > RELATIVE * variance + ABSOLUTE
@@ -224,12 +236,19 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
             root = np.sqrt(pivot)
             inverse = 1.0 / root
         else:
-            if scale is None and (raised := _with_least_variances(P)) is not None:
-                return cholesky(raised, np.abs(variances(raised)))
-            broken = ~(pivot >= -INDEFINITE * (variance if scale is None else scale[j]))
+            if scale is None:
+                if (raised := _with_least_variances(P)) is not None:
+                    return cholesky(raised, np.abs(variances(raised)))
+                scale = np.abs(variances(P))
+            broken = ~(pivot >= -INDEFINITE * scale[j])
             root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
             inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
         L[j, j] = root
+        if few:
+            below = L[j + 1 :, j]
+            np.multiply(rest[j + 1 :, j], inverse, out=below)
+            rest[j + 1 :, j + 1 :] -= below[:, None] * below
+            continue
         column = [None] * (j + 1) + [rest[k][j] * inverse for k in range(j + 1, n)]
         for k in range(j + 1, n):
             L[k, j] = column[k]

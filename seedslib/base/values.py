@@ -112,7 +112,9 @@ class Parametrized:
             if hasattr(p, "role"):
                 got = "another of that name" if str(p) in own else "another name"
             raise ValueError(f"{p}: {wanted}, got {got}")
-        numbers = {p: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()}
+        numbers = {  # by the model's own objects, which are found sooner than equal ones
+            own[str(p)]: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()
+        }
         return changed(self, numbers={**self.numbers, **numbers})
 
     def values(self, inputs: Inputs | None = None, dt: float = math.nan) -> Values:
@@ -123,12 +125,14 @@ class Parametrized:
         ValueError
             An input without a value, or one that the model does not mention.
         """
-        if inputs and (unknown := [u for u in inputs if u not in self.parameters]):
-            raise ValueError(f"inputs: wanted those of the model, got {unknown[0]}")
-        if not self.parameters:
-            return ()
         table = {**self.numbers, **inputs} if inputs else self.numbers
-        return tuple(table[p] if p in table else _own_value(p, dt) for p in self.parameters)
+        known = [table.get(p) for p in self.parameters]
+        if inputs and sum(value is not None for value in known) < len(table):
+            for u in inputs:
+                if u not in self.parameters:
+                    raise ValueError(f"inputs: wanted those of the model, got {u}")
+        values = zip(self.parameters, known, strict=True)
+        return tuple(_own_value(p, dt) if value is None else value for p, value in values)
 
     def __repr__(self) -> str:
         sizes = f"state_size={self.state_size}, measurement_size={self.measurement_size}"

@@ -734,6 +734,10 @@ class Filter(Pickled):
 
         return self.in_blocks(work, record, batch, seed, workers)
 
+    def _for_likelihoods(self) -> Self:
+        """The same filter, of whose estimates nothing but the log-likelihood is looked at."""
+        return self
+
     def records_of(
         self, times: ArrayLike, measurements: ArrayLike, indicators: Any, modes: Any, inputs: Any
     ) -> tuple[tuple[int, ...], Record]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import cached_property, partial
-from typing import Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,7 @@ from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import MOST_STEPS, SAME, step_count
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
+from seedslib.base.objects import changed
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, first_step, stays
 from seedslib.filters.program import Program
@@ -22,6 +23,9 @@ from seedslib.linearization.moments import Linearization, Matrices, Moments, as_
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
 from seedslib.models.maps import StochasticMap
+
+if TYPE_CHECKING:
+    from typing import Self
 
 
 def euler_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
@@ -150,6 +154,7 @@ class CovarianceFilter(Filter):
     """
 
     _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
+    _covariances = True
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
@@ -383,7 +388,12 @@ class CovarianceFilter(Filter):
         beyond = None
         if np.isfinite(self.bound):
             beyond = (np.abs(state.mean) > self.bound).any(axis=0)
-        return Estimates(state.mean, state.cov, None, state.loglik, beyond)
+        cov = state.cov if self._covariances else None
+        return Estimates(state.mean, cov, None, state.loglik, beyond)
+
+    def _for_likelihoods(self) -> Self:
+        """See `Filter._for_likelihoods`: without covariances."""
+        return changed(self, _covariances=False)
 
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
         """Paths do not meet, so the size of a block is free."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +11,7 @@ import numpy as np
 from seedslib.base.arrays import Seed, align
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
-from seedslib.base.objects import changed
+from seedslib.base.objects import Pickled, changed
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
@@ -21,23 +23,22 @@ UNKNOWN = 1e-9
 """Deviations of a state for one of what no measurement has determined that count as none."""
 
 
-class DiffuseState(NamedTuple):
-    """A state that depends on q unknown numbers d, N(mean + effect d, cov).
+@dataclass(frozen=True, eq=False)
+class Collected(Pickled):
+    """What measurements say of unknown numbers d, N(I⁻¹ s, I⁻¹).
 
-    ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, q, *batch). Of d the measurements
-    say N(I⁻¹ s, I⁻¹), with the ``score`` s (q, *batch) and the ``information`` I (q, q, *batch).
-    ``loglik`` is that of the last measurement, d integrated out.
+    Parameters
+    ----------
+    score : ndarray, shape (q, *batch)
+        s.
+    information : ndarray, shape (q, q, *batch)
+        I.
     """
 
-    time: float | None
-    mean: np.ndarray
-    cov: np.ndarray
-    loglik: np.ndarray | float
-    interval: float | None
-    effect: np.ndarray
     score: np.ndarray
     information: np.ndarray
 
+    @cached_property
     def inverse(self) -> np.ndarray:
         """Pseudo-inverse of the information, (q, q, *batch), whatever the units of d."""
         unit = np.sqrt(variances(self.information))
@@ -46,19 +47,54 @@ class DiffuseState(NamedTuple):
         inverse = np.linalg.pinv(information, RELATIVE, hermitian=True)
         return np.moveaxis(inverse, (-2, -1), (0, 1)) / unit / unit[:, None]
 
+    @cached_property
     def estimate(self) -> np.ndarray:
         """The most probable d, (q, *batch); zero where nothing is known."""
-        return np.einsum("pq...,q...->p...", self.inverse(), self.score)
+        return np.einsum("pq...,q...->p...", self.inverse, self.score)
+
+    @cached_property
+    def _factor(self) -> np.ndarray:
+        return cholesky(self.information)
+
+    @property
+    def _roots(self) -> np.ndarray:
+        return variances(self._factor)
+
+    @cached_property
+    def solution(self) -> np.ndarray:
+        """A most probable d by substitution, sooner than `estimate`, which is the shortest."""
+        L, d, regular = self._factor, self.score.copy(), self._roots > 0
+        inverse = regular / np.where(regular, self._roots, 1.0)
+        for j in range(len(d)):
+            d[j] *= inverse[j]
+            d[j + 1 :] -= L[j + 1 :, j] * d[j]
+        for j in reversed(range(len(d))):
+            d[j] = inverse[j] * (d[j] - (L[j + 1 :, j] * d[j + 1 :]).sum(axis=0))
+        return d
 
     def half_log_determinant(self) -> np.ndarray:
         """Half the logarithm of the determinant of the information that there is."""
-        root = variances(cholesky(self.information))
-        return np.log(np.where(root > 0, root, 1.0)).sum(axis=0)
+        return np.log(np.where(self._roots > 0, self._roots, 1.0)).sum(axis=0)
 
     def determined(self) -> bool:
         """Whether the measurements determine all unknown numbers."""
-        root = variances(cholesky(self.information))
-        return bool((root > UNKNOWN * np.sqrt(variances(self.information))).all())
+        return bool((self._roots > UNKNOWN * np.sqrt(variances(self.information))).all())
+
+
+class DiffuseState(NamedTuple):
+    """A state that depends on q unknown numbers d, N(mean + effect d, cov).
+
+    ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, q, *batch); ``collected`` is what
+    the measurements say of d. ``loglik`` is that of the last measurement, d integrated out.
+    """
+
+    time: float | None
+    mean: np.ndarray
+    cov: np.ndarray
+    loglik: np.ndarray | float
+    interval: float | None
+    effect: np.ndarray
+    collected: Collected
 
 
 State = FilterState | DiffuseState
@@ -111,7 +147,8 @@ class KalmanFilter(CovarianceFilter):
         state.cov[diffuse, diffuse] = self._prior
         effect = np.zeros((self.n, q, *batch))
         effect[diffuse, range(q)] = 1.0
-        return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
+        nothing = Collected(np.zeros((q, *batch)), np.zeros((q, q, *batch)))
+        return DiffuseState(*state, effect, nothing)
 
     def propagate(self, state: State, t: float, p: Values) -> State:
         """See `CovarianceFilter.propagate`; given what is unknown."""
@@ -134,6 +171,8 @@ class KalmanFilter(CovarianceFilter):
         """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
             return super().update(state, y, p)
+        if np.isnan(y).all():
+            return state._replace(loglik=np.zeros(y.shape[1:]))
         corrected = super().update(FilterState(*state[:5]), y, p)  # given that d is zero
         expected, cross, S = self.expected(state, p)
         depth = state.mean.ndim - 1
@@ -148,29 +187,32 @@ class KalmanFilter(CovarianceFilter):
             np.where(both, align(S, 2, depth), identity),
             np.concatenate([columns[0][:, None], columns[1]], axis=1),
         )
-        now = DiffuseState(
-            *corrected,
-            state.effect - np.einsum("nm...,mq...->nq...", cross, weighted[:, 1:]),
-            state.score + np.einsum("mq...,m...->q...", columns[1], weighted[:, 0]),
-            state.information + np.einsum("mp...,mq...->pq...", columns[1], weighted[:, 1:]),
+        before = state.collected
+        after = Collected(
+            before.score + np.einsum("mq...,m...->q...", columns[1], weighted[:, 0]),
+            before.information + np.einsum("mp...,mq...->pq...", columns[1], weighted[:, 1:]),
         )
         # at the best d: at zero the squares may be large, and their difference has no digits
-        d = now.estimate()
-        density = gaussian_logpdf(innovation, np.einsum("mq...,q...->m...", effect, d), S)
-        change = d - state.estimate()
-        density -= 0.5 * np.einsum("p...,pq...,q...->...", change, state.information, change)
-        loglik = density + state.half_log_determinant() - now.half_log_determinant()
-        now = now._replace(loglik=loglik)
+        expected = np.einsum("mq...,q...->m...", effect, after.solution)
+        density = gaussian_logpdf(innovation, expected, S)
+        change = after.solution - before.solution
+        density -= 0.5 * np.einsum("p...,pq...,q...->...", change, before.information, change)
+        loglik = density + before.half_log_determinant() - after.half_log_determinant()
+        effect = state.effect - np.einsum("nm...,mq...->nq...", cross, weighted[:, 1:])
+        now = DiffuseState(*corrected._replace(loglik=loglik), effect, after)
         return self.settled(now) if self._marginalizes else now
 
     def settled(self, state: Any) -> Any:
         """The state with unknown numbers integrated out, once measurements determine them all."""
-        if not isinstance(state, DiffuseState) or not state.determined():
+        if not isinstance(state, DiffuseState) or not state.collected.determined():
             return state
-        mean, cov = marginalized(state.mean, state.cov, state.effect, state, self.scale)
+        mean, cov = self._marginalized(state)
         if np.isnan(cov).any():  # known by rounding only
             return state
         return FilterState(state.time, mean, cov, state.loglik, state.interval)
+
+    def _marginalized(self, state: DiffuseState) -> tuple[np.ndarray, np.ndarray]:
+        return marginalized(state.mean, state.cov, state.effect, state.collected, self.scale)
 
     def program(self, **options: Any) -> Program:
         """See `Filter.program`; the first state must have a distribution."""
@@ -199,7 +241,7 @@ class KalmanFilter(CovarianceFilter):
             return mean, cov
         slope = self.system.sensor.slope_at(state.time, p)
         effect = np.einsum("ij...,jq...->iq...", slope, state.effect)
-        return marginalized(mean, cov, effect, state, self._measured_scale(slope))
+        return marginalized(mean, cov, effect, state.collected, self._measured_scale(slope))
 
     def _measured_scale(self, sensor: np.ndarray) -> np.ndarray:
         """Units of the measurement in those of the unknown numbers, (m, q); one for none."""
@@ -208,8 +250,8 @@ class KalmanFilter(CovarianceFilter):
 
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
-        if isinstance(state, DiffuseState):
-            mean, cov = marginalized(state.mean, state.cov, state.effect, state, self.scale)
+        if isinstance(state, DiffuseState) and self._covariances:
+            mean, cov = self._marginalized(state)
             state = FilterState(state.time, mean, cov, state.loglik)
         return super().report(state)
 
@@ -236,7 +278,7 @@ def marginalized(
     mean: np.ndarray,
     cov: np.ndarray,
     effect: np.ndarray,
-    posterior: DiffuseState,
+    collected: Collected,
     scale: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of a state over what the measurements say of the unknown numbers.
@@ -245,8 +287,8 @@ def marginalized(
     ----------
     mean, cov, effect : ndarray
         As in `DiffuseState`, of one time.
-    posterior : DiffuseState
-        Its score and information say what is known of the numbers.
+    collected : Collected
+        What is known of the numbers.
     scale : ndarray, shape (n, q)
         What an effect is measured by, see `KalmanFilter`.
 
@@ -256,11 +298,10 @@ def marginalized(
         Of a component that depends on what nothing has determined the variance is infinite and
         its covariances are NaN.
     """
-    inverse, depth = posterior.inverse(), effect.ndim - 2
-    estimate = np.einsum("pq...,q...->p...", inverse, posterior.score)
-    mean = mean + np.einsum("nq...,q...->n...", effect, estimate)
+    inverse, depth = collected.inverse, effect.ndim - 2
+    mean = mean + np.einsum("nq...,q...->n...", effect, collected.estimate)
     cov = align(cov, 2, depth) + np.einsum("np...,pq...,kq...->nk...", effect, inverse, effect)
-    determined = np.einsum("pk...,kq...->pq...", inverse, posterior.information)
+    determined = np.einsum("pk...,kq...->pq...", inverse, collected.information)
     rest = effect - np.einsum("np...,pq...->nq...", effect, determined)
     unit = align(scale, 2, depth)
     whole, rest = (np.abs(part / unit).max(axis=1) for part in (effect, rest))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import warnings
 from typing import Any, ClassVar, NamedTuple
 
@@ -69,6 +70,7 @@ class ParticleFilter(Filter):
     """
 
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
+    alone = True
 
     def __init__(self, system: AnySystem, particles: Count = 1000, **options: Any) -> None:
         self._modes = system.modes if switches(system) else None
@@ -88,7 +90,7 @@ class ParticleFilter(Filter):
     def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> ParticleState:
         """Particles of the initial distribution for data sets of the given batch shape."""
         seed = as_seed_sequence(0 if seed is None else seed)
-        count = self.particles * int(np.prod(batch, dtype=int))
+        count = self.particles * math.prod(batch)
         x = self._moving.initial_sample(stream(seed, 0), count)
         x = x.reshape(len(x), self.particles, *batch)
         mean, cov, prob = self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
@@ -115,23 +117,27 @@ class ParticleFilter(Filter):
             y = np.concatenate([y, np.where(indicator < 0, np.nan, indicator)[None]])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             log_weight = self._moving.sensor.log_density(state.time, y[:, None], x, p)
-        log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        weight, highest, unexplained = relative(log_weight, 0)
-        weight = np.where(unexplained, 1.0, weight)
-        if (highest < -FAR * np.isfinite(y).sum(axis=0))[~unexplained].any():
+            weight, highest, unexplained = relative(log_weight, 0)
+            if unexplained.any():  # some density is no number, or infinite, or all are zero
+                log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
+                weight, highest, unexplained = relative(log_weight, 0)
+                weight = np.where(unexplained, 1.0, weight)
+        observed = np.isfinite(y)
+        if ((highest < -FAR * observed.sum(axis=0)) & ~unexplained).any():
             warnings.warn(
                 f"y: no particle is near the measurement at time {when(state.time)}: wanted more "
                 "particles, or a measurement that the model allows",
                 stacklevel=outside(),
             )
         total = weight.sum(axis=0)
-        weight = weight / total
+        weight /= total
         mean, cov, prob = self.estimate(x, weight)
-        rng = stream(state.seed, state.draws)
-        if np.isfinite(y).any():
-            chosen = resampled(weight, self.particles, rng)
-            x = np.take_along_axis(x, chosen[None], axis=1)
-        loglik = np.where(unexplained, -np.inf, highest + np.log(total / self.particles))
+        if observed.any():
+            chosen = resampled(weight, self.particles, stream(state.seed, state.draws))
+            sets = chosen[0].size
+            places = chosen.reshape(-1, sets) * sets + np.arange(sets)
+            x = x.reshape(len(x), -1).take(places.ravel(), axis=1).reshape(x.shape)
+        loglik = highest + np.log(total / self.particles)
         diverged = state.diverged | unexplained
         estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
         return state._replace(particles=x, draws=state.draws + 1, diverged=diverged, **estimate)
@@ -200,11 +206,11 @@ def resampled(weight: np.ndarray, count: int, rng: np.random.Generator) -> np.nd
         Gives one uniform number for each data set.
     """
     total, batch = len(weight), weight.shape[1:]
-    edges = np.cumsum(weight.reshape(total, -1), axis=0)
-    sets = edges.shape[1]
+    edges = weight.reshape(total, -1).cumsum(axis=0)
+    sets = np.arange(edges.shape[1])
     # the sets lie end to end on one line, so that one sorted search serves all
-    edges = edges / edges[-1] + np.arange(sets)
-    points = (rng.random(sets) + np.arange(count)[:, None]) / count + np.arange(sets)
-    chosen = np.searchsorted(edges.T.ravel(), points.T.ravel(), side="right")
-    chosen = chosen.reshape(sets, count) - total * np.arange(sets)[:, None]
-    return np.clip(chosen, 0, total - 1).T.reshape(count, *batch)
+    edges = edges / edges[-1] + sets
+    points = (rng.random(len(sets)) + np.arange(count)[:, None]) / count + sets
+    chosen = edges.T.ravel().searchsorted(points.T.ravel(), side="right")
+    chosen = chosen.reshape(len(sets), count) - total * sets[:, None]
+    return np.minimum(chosen, total - 1).T.reshape(count, *batch)

@@ -131,8 +131,10 @@ class Single:
         times, y = record.times, record.y.reshape(record.y.shape[:2])
         columns = [times, *y.T] if self._timed else [*y.T]
         if self._inputs or self._parameters:
-            p = [filter.values(record.inputs.at(k)) for k in range(len(times))]
-            columns += np.array(list(map(self._given, [p[0], *p], p))).T.tolist()
+            changes = len(times) if record.inputs.values else 1
+            p = [filter.values(record.inputs.at(k)) for k in range(changes)]
+            given = np.array(list(map(self._given, [p[0], *p], p)))
+            columns += [*np.broadcast_to(given, (len(times), given.shape[1])).T]
         indicators = record.indicators
         if self._indicators:
             columns.append(indicators := record.indicators.reshape(-1))

@@ -15,6 +15,7 @@ from seedslib.base.linalg import solve_psd, symmetrized
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
 from seedslib.filters.covariance import FilterState
+from seedslib.filters.kalman import Collected
 
 
 def smooth(
@@ -196,9 +197,13 @@ class RauchTungStriebel(Smoother):
         times, rows = record.times.tolist(), (parts["mean"], parts["cov"], parts["loglik"])
         later = [FilterState(*row) for row in zip(times[k + 1 :], *rows, strict=True)]
         before = [settled, *later[:-1]]
-        steps = zip(range(k, last), np.diff(times[k:]).tolist(), strict=True)
-        numbers = zip(*(filter.values(record.inputs.at(j), dt) for j, dt in steps), strict=True)
-        p = tuple(column[0] if len({*column}) == 1 else np.array(column) for column in numbers)
+        lengths = np.diff(times[k:]).tolist()
+        if not record.inputs.values and len({*lengths}) == 1:
+            p = filter.values(record.inputs.at(k), lengths[0])
+        else:
+            steps = zip(range(k, last), lengths, strict=True)
+            numbers = zip(*(filter.values(record.inputs.at(j), dt) for j, dt in steps), strict=True)
+            p = tuple(column[0] if len({*column}) == 1 else np.array(column) for column in numbers)
         mean, cov = (np.stack([getattr(s, name) for s in before], -1) for name in ("mean", "cov"))
         ahead, cross = filter.propagate_jointly(FilterState(times[k], mean, cov), times[k + 1], p)
         gains = np.moveaxis(kalman_gain(cross, ahead.cov), -1, 0)
@@ -242,18 +247,18 @@ def _unsettled(state: Any, settled: Any, mean: np.ndarray, cov: np.ndarray) -> t
         Smoothed moments of x.
     """
     depth = mean.ndim - 1
-    inverse = state.inverse()
+    inverse = state.collected.inverse
     cross = np.einsum("pq...,nq...->pn...", inverse, state.effect)
     filtered = align(settled.cov, 2, depth)
     gain = kalman_gain(cross, filtered)
-    number = state.estimate() + np.einsum("pn...,n...->p...", gain, mean - settled.mean)
+    number = state.collected.estimate + np.einsum("pn...,n...->p...", gain, mean - settled.mean)
     spread = inverse + np.einsum("pn...,nk...,qk...->pq...", gain, cov - filtered, gain)
     information = solve_psd(spread, align(np.eye(len(spread)), 2, depth))
     effect = np.einsum("nk...,pk...,pq...->nq...", cov, gain, information)
     rest = cov - np.einsum("np...,pq...,kq...->nk...", effect, spread, effect)
     mean = mean - np.einsum("np...,p...->n...", effect, number)
     score = np.einsum("pq...,q...->p...", information, number)
-    last = state._replace(score=score, information=symmetrized(information))
+    last = state._replace(collected=Collected(score, symmetrized(information)))
     return np.concatenate([mean[:, None], effect], axis=1), symmetrized(rest), last
 
 

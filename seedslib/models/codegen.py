@@ -230,7 +230,7 @@ def batch_of(*arguments: object) -> tuple[int, ...]:
         if isinstance(argument, np.ndarray) and argument.dtype != object and len(argument):
             shapes.append(argument.shape[1:])  # those of its components, looked at once
         else:
-            shapes += [np.shape(c) for c in argument]
+            shapes += [() if isinstance(c, float) else np.shape(c) for c in argument]
     return batch_shape(*shapes)
 
 

@@ -7,6 +7,7 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
+import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -112,8 +113,14 @@ class Noise:
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Independent draws, shape (size, count); the first of many are the draws of a few."""
         if self.sample is None:
-            return self.mean[:, None] + lower_times(self.root, normal(rng, self.size, count))
+            v = normal(rng, self.size, count)
+            return v if self._standard else self.mean[:, None] + lower_times(self.root, v)
         return drawn(rng, count, self._sampled)
+
+    @cached_property
+    def _standard(self) -> bool:
+        """Whether draws are those of standard normal numbers."""
+        return not self.mean.any() and np.array_equal(self.root, np.eye(self.size))
 
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
         return as_real("noise.sample", self.sample(rng, count), (self.size, count))
@@ -532,7 +539,7 @@ class StochasticMap(Pickled):
     def sample(self, t: float, x: np.ndarray, rng: Source, p: Values = ()) -> np.ndarray:
         """One draw of y, shape (size, *batch), for each state, (n, *batch)."""
         batch = np.shape(x)[1:]
-        v = self.noise.draw(rng, int(np.prod(batch, dtype=int))).reshape(self.noise.size, *batch)
+        v = self.noise.draw(rng, math.prod(batch)).reshape(self.noise.size, *batch)
         return wrapped(self.value(t, x, v, p), self.period)
 
     @cached_property

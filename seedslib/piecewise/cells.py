@@ -143,7 +143,7 @@ class Polygons:
 
 
 def line_cells(normals: ArrayLike, offsets: ArrayLike) -> Polygons:
-    """Cells into which the lines ``normals[:, j] . x = offsets[j]`` cut the plane.
+    """Cells into which lines cut the plane, ``normals[:, j] @ x = offsets[j]``.
 
     Parameters
     ----------

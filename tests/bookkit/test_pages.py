@@ -1,6 +1,7 @@
 """What pages take from notebooks, and what is refused in built pages."""
 
 import base64
+import doctest
 import re
 import struct
 from pathlib import Path
@@ -33,6 +34,13 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(capsys):
     text = (ROOT / "README.md").read_text()
     exec(compile(programs.program(text), "README.md", "exec"), {})
     assert f"\n```\n{capsys.readouterr().out}```\n" in text
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "book" / "api").glob("*.md")), ids=lambda p: p.stem)
+def test_examples_of_the_reference_print_what_they_show(page):
+    tried = doctest.testfile(str(page), module_relative=False)
+    assert tried.failed == 0
+    assert tried.attempted > 1 or page.stem in ("base", "tape", "extra")
 
 
 def test_programs_have_the_lines_of_their_page(tmp_path):

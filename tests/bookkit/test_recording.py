@@ -121,5 +121,5 @@ def test_a_planted_fault_that_leaves_the_verdict_is_missed(known, shown, ledger,
     assert found.get("missed", []) == missed
     box = shown[0][0]["text/html"]
     assert ("Would not fail with: no sign" in box) == bool(missed)
-    assert "a &lt; b<br>" in box
+    assert "<p>a &lt; b</p>" in box
     assert "a &lt; b &amp; c" in box

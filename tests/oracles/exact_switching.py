@@ -1,9 +1,8 @@
-"""Exact filters of the scalar switching system, of order one and with remembered measurements.
+"""The exact filter of order one of the scalar switching system, on grids.
 
-Written from [R-SW 3.1, 4.1-4.8] alone, for the references that come from outside of the project.
-The distribution of the memory (a decided mode and an estimate) and of the object (mode and state)
-moves from measurement to measurement; an estimate is split between the two nearest nodes of its
-axis.
+Written from [R-SW 3.1, 4.1-4.8] alone; nothing of the library. The distribution of the memory (a
+decided mode and an estimate) and of the object (mode and state) moves from measurement to
+measurement; an estimate is split between the two nearest nodes of its axis.
 """
 
 from __future__ import annotations
@@ -70,25 +69,3 @@ def errors(sensor, steps, states=121, estimates=161, measurements=301):
         dist = ahead[ahead.sum(axis=1) > 1e-14]
         dist /= dist.sum()
     return np.array(found).T
-
-
-def remembered(sensor, length, k, states=65, measurements=81):
-    """Mean square of the error and share of wrong modes at k, with y_k and `length` before it.
-
-    Nothing is remembered but measurements, so the sums run over all of their nodes; those before
-    do not matter.
-    """
-    both, transition, likely, dist = model(sensor, states, measurements)
-    for _ in range(k - length):
-        dist = dist @ transition
-    dists = dist[None]  # joint distribution of the remembered measurements and of the object
-    square, right = 0.0, 0.0
-    for _ in range(length):
-        dists = (dists[:, None] * likely).reshape(-1, len(dist)) @ transition
-    for part in np.array_split(dists, max(1, len(dists) // 100)):
-        joint = part[:, None] * likely
-        mass, first = joint.sum(axis=2), joint @ both
-        mean = np.divide(first, mass, out=np.zeros_like(mass), where=mass > 1e-300)
-        square += (joint @ both**2).sum() - (mean * first).sum()
-        right += joint.reshape(*mass.shape, 2, -1).sum(axis=3).max(axis=2).sum()
-    return square, 1 - right
