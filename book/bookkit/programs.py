@@ -10,6 +10,11 @@ _PROGRAM = re.compile(
     re.M | re.S,
 )  # an indentation, the options of a cell, the program
 
+_HEAD = """# pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false
+# pyright: reportOperatorIssue=false, reportPossiblyUnboundVariable=false, reportRedeclaration=false
+"""
+"""What checkers say of options in dictionaries and of names set in loops is no fault of a cell."""
+
 
 def program(text: str) -> str:
     """The Python of a page, or the cells of a notebook, each line at its place, all else blank."""
@@ -22,7 +27,9 @@ def program(text: str) -> str:
 
 
 def write(root: Path, folder: Path) -> None:
-    """Write the programs of the README and of all notebooks into an empty folder."""
+    """Write the programs of the README and the cells of all notebooks into an empty folder."""
     folder.mkdir(parents=True)
-    for page in [root / "README.md", *(root / "notebooks").glob("*.md")]:
-        (folder / f"{page.stem}.py").write_text(program(page.read_text()))
+    (folder / "README.py").write_text(program((root / "README.md").read_text()))
+    for page in (root / "notebooks").glob("*.md"):
+        cells = page.read_text().replace("```python\n", "```text\n")  # stubs and their solutions
+        (folder / f"{page.stem}.py").write_text(_HEAD + program(cells).removeprefix("\n\n"))
