@@ -22,7 +22,7 @@ CHAPTERS = [
     if chapter["file"].startswith("notebooks/")
 ]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "book").glob("*.md"))]
-PAGES = [page for page in PAGES if page.stem not in ("claims", "glossary", "bibliography")]
+PAGES = [page for page in PAGES if page.stem not in ("claims", "bibliography")]
 
 
 @pytest.fixture(params=CHAPTERS)
