@@ -71,8 +71,8 @@ def test_the_contents_are_a_book_a_record_and_a_library():
     assert len(list((ROOT / "notebooks").glob("*.md"))) <= 38
 
 
-@pytest.mark.parametrize("name", CHAPTERS)
-def test_visible_code_runs_by_itself(name, tmp_path):
+def run_by_itself(name, tmp_path):
+    """Run a chapter's visible code in a process of its own, without the harness of the book."""
     cells = json.loads((ROOT / "notebooks" / f"{name}.ipynb").read_text())["cells"]
     parameters = [c for c in code(cells) if "parameters" in c["metadata"].get("tags", [])]
     shown = [c for c in code(cells) if not hidden(c) and c not in parameters]
@@ -91,6 +91,18 @@ def test_visible_code_runs_by_itself(name, tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr[-2000:]
+
+
+class TestEvenChapters:  # two classes go to two processes
+    @pytest.mark.parametrize("name", CHAPTERS[::2])
+    def test_visible_code_runs_by_itself(self, name, tmp_path):
+        run_by_itself(name, tmp_path)
+
+
+class TestOddChapters:
+    @pytest.mark.parametrize("name", CHAPTERS[1::2])
+    def test_visible_code_runs_by_itself(self, name, tmp_path):
+        run_by_itself(name, tmp_path)
 
 
 def test_the_harness_is_at_most_two_hidden_cells(chapter):
