@@ -71,6 +71,14 @@ def designed(family, name, make, times):
     return family, name, lambda y: filter.run(times, y).mean, spent
 
 
+def by_order(system, means, times, orders, known):
+    """Filters that remember estimates, designed on simulated runs."""
+    for order in orders:
+        chosen = {"paths": PATHS, "seed": 3, "measured": known}
+        make = partial(synthesize, system, Memory(order), means, times, **chosen)
+        yield designed("precomputed", f"order {order}", make, times)
+
+
 def unseen(y):
     """The same measurements, but for those at k = 0."""
     return np.concatenate([np.full((1, *y.shape[1:]), np.nan), y[1:]])
@@ -195,12 +203,7 @@ def random_sine(runs=400) -> Problem:
         blackwell = partial(rao_blackwell, variance=variance, count=300, push=push, dt=dt)
         yield "particles", "300 Rao-Blackwellised", lambda y: blackwell(y[1:, 0])
         yield particles(system, 1000, times, 200)
-        for order in (1, 4):
-            yield designed(
-                "precomputed", f"order {order}", lambda n=order: synthesize(
-                    system, Memory(n), ExactGaussian(), times, paths=PATHS, seed=3, measured=known
-                ), times,
-            )  # fmt: skip
+        yield from by_order(system, ExactGaussian(), times, (1, 4), known)
 
     return Problem(3, unseen(data.measurements), data.states, signal, filters())
 
@@ -270,12 +273,7 @@ def bearings(runs=1000) -> Problem:
     def filters():
         yield from covariance_filters(system, rules, times)
         yield particles(system, 1000, times, 100)
-        for order in (2, 4):
-            yield designed(
-                "precomputed", f"order {order}", lambda n=order: synthesize(
-                    system, Memory(n), Taylor(), times, paths=PATHS, seed=3, measured=known
-                ), times,
-            )  # fmt: skip
+        yield from by_order(system, Taylor(), times, (2, 4), known)
 
     return Problem(4, y, truth, lambda x: x[1:, :2], filters())
 

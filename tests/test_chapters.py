@@ -35,8 +35,17 @@ def source(cell):
     return "".join(cell["source"])
 
 
+def tags(cell):
+    return set(cell["metadata"].get("tags", []))
+
+
 def hidden(cell):
-    return bool({"remove-cell", "remove-input"} & set(cell["metadata"].get("tags", [])))
+    return bool({"remove-cell", "remove-input"} & tags(cell))
+
+
+def tables(text):
+    """How many tables a Markdown text has."""
+    return len(re.findall(r"(?m)^\s*\|[\s:|-]*--[\s:|-]*\|\s*$", text))
 
 
 def code(cells):
@@ -74,7 +83,7 @@ def test_the_contents_are_a_book_a_record_and_a_library():
 def run_by_itself(name, tmp_path):
     """Run a chapter's visible code in a process of its own, without the harness of the book."""
     cells = json.loads((ROOT / "notebooks" / f"{name}.ipynb").read_text())["cells"]
-    parameters = [c for c in code(cells) if "parameters" in c["metadata"].get("tags", [])]
+    parameters = [c for c in code(cells) if "parameters" in tags(c)]
     shown = [c for c in code(cells) if not hidden(c) and c not in parameters]
     program = "\n\n".join(map(source, [*parameters, *shown]))
     assert "bookkit" not in program
@@ -106,11 +115,7 @@ class TestOddChapters:
 
 
 def test_the_harness_is_at_most_two_hidden_cells(chapter):
-    harness = [
-        cell
-        for cell in code(chapter)
-        if hidden(cell) and "parameters" not in cell["metadata"].get("tags", [])
-    ]
+    harness = [c for c in code(chapter) if hidden(c) and "parameters" not in tags(c)]
     assert len(harness) <= 2
     for cell in code(chapter):
         assert hidden(cell) or "bookkit" not in source(cell)
@@ -118,7 +123,7 @@ def test_the_harness_is_at_most_two_hidden_cells(chapter):
 
 def test_lines_of_code_are_no_wider_than_the_page(chapter):
     shown = [c for c in code(chapter) if not hidden(c)]
-    read = [c for c in shown if "hide-input" not in c["metadata"].get("tags", [])]
+    read = [c for c in shown if "hide-input" not in tags(c)]
     lines = [line for cell in read for line in source(cell).splitlines()]
     assert [line for line in lines if len(line) > 84] == []
 
@@ -140,14 +145,13 @@ def test_figures_are_transparent_and_as_wide_as_their_text_needs(chapter):
 
 def test_at_most_three_tables(chapter):
     text = "\n".join(source(cell) for cell in chapter if cell["cell_type"] == "markdown")
-    tables = len(re.findall(r"(?m)^\s*\|[\s:|-]*--[\s:|-]*\|\s*$", text))
+    count = tables(text)
     for cell in code(chapter):
         for output in cell["outputs"]:
-            made = "".join(output.get("data", {}).get("text/html", ""))
-            tables += made.count("<table")
-            made = "".join(output.get("data", {}).get("text/markdown", ""))
-            tables += len(re.findall(r"(?m)^\s*\|[\s:|-]*--[\s:|-]*\|\s*$", made))
-    assert tables <= 3
+            data = output.get("data", {})
+            count += "".join(data.get("text/html", "")).count("<table")
+            count += tables("".join(data.get("text/markdown", "")))
+    assert count <= 3
 
 
 def test_chapters_say_which_filter_to_take_and_set_exercises(chapter):

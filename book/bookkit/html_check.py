@@ -7,7 +7,7 @@ from pathlib import Path
 
 from bs4 import BeautifulSoup
 
-_OUTSIDE = re.compile(r"(?:https?:)?//[^\s,]+", re.IGNORECASE)
+_OUTSIDE = re.compile(r"(https?:)?//", re.IGNORECASE)
 _IN_STYLE = re.compile(r"""(?:url\(|@import)\s*['"]?((?:https?:)?//[^'")\s;]+)""", re.IGNORECASE)
 _LOADED = {"stylesheet", "preload", "icon", "modulepreload", "preconnect"}
 
@@ -33,9 +33,10 @@ def _page_loads(page: Path) -> list[str]:
     loads = []
     for tag in BeautifulSoup(page.read_bytes(), "html.parser").find_all(True):
         linked = tag.name == "image" or (tag.name == "link" and _LOADED & set(tag.get("rel", [])))
-        names = ("src", "srcset", "poster", "data", *(["href"] if linked else []))
-        given = [part.strip() for name in names for part in tag.get(name, "").split(",")]
-        loads += [match[0] for part in given if (match := _OUTSIDE.match(part))]
+        names = ("src", "poster", "data", *(["href"] if linked else []))
+        given = [tag.get(name, "") for name in names]
+        given += [part.strip() for part in tag.get("srcset", "").split(",")]
+        loads += [part for part in given if _OUTSIDE.match(part)]
         styled = tag.get("style", "") + (tag.string or "" if tag.name == "style" else "")
         loads += _IN_STYLE.findall(styled)
     return loads

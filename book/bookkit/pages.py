@@ -157,8 +157,6 @@ def as_shown(notebook: dict) -> dict:
                 width = struct.unpack(">I", base64.b64decode(data["image/png"][:32])[16:20])[0]
                 options = cell["metadata"].setdefault("mystnb", {})
                 options.setdefault("image", {}).setdefault("width", f"{width // 2}px")
-            for name, entry in data.get(MIME, {}).get("claims", {}).items():
-                data["text/html"] = claim_html(name, entry)
             if MIME not in data or "text/html" in data:  # the badge of a claim stays
                 outputs.append(output)
         if "outputs" in cell:
@@ -185,7 +183,7 @@ def _read_source(app: Any, docname: str, source: list[str]) -> None:
 
 
 def _page(app: Any, pagename: str, template: str, context: dict, doctree: Any) -> None:
-    """The sidebar of the part that a page is in, its description, and its text for the search."""
+    """The sidebar of the part that a page is in, and what says of it what it is."""
     sidebar = context.get("generate_toctree_html")
     if sidebar is not None:
         context["generate_toctree_html"] = lambda *a, **k: _of_this_part(sidebar(*a, **k))
@@ -206,23 +204,6 @@ def _page(app: Any, pagename: str, template: str, context: dict, doctree: Any) -
             ("property", "og:image", context["pathto"]("_static/flip_run.png", resource=True)),
         )
     )
-    bare = re.sub(r"(?s)<(script|style|svg|pre).*?</\1>|<[^>]+>", " ", context["body"])
-    text = re.sub(r"\\[()]|¶|#(?=\s)", "", html.unescape(bare))
-    weight = next((w for part, w in WEIGHTS.items() if pagename.startswith(part)), 0.7)
-    if pagename in _chapters(app):
-        weight = 1.0
-    texts = {"text": " ".join(text.split()), "weight": weight}
-    app.env.seedslib_texts = {**getattr(app.env, "seedslib_texts", {}), pagename: texts}
-
-
-WEIGHTS = {"book/api": 0.6, "book/claims": 0.2, "book/errata": 0.3, "notebooks": 0.4}
-"""How much a page counts in the search by the beginning of its name; a chapter counts one."""
-
-
-def _chapters(app: Any) -> set[str]:
-    """The chapters of the book: the notebooks in the parts before the record."""
-    parts = yaml.safe_load((Path(app.srcdir) / "_toc.yml").read_text())["parts"]
-    return {c["file"] for part in parts[:-2] for c in part["chapters"]}
 
 
 def _of_this_part(sidebar: str) -> Any:
@@ -249,10 +230,31 @@ def _of_this_part(sidebar: str) -> Any:
     return soup
 
 
+WEIGHTS = {"book/api": 0.6, "book/claims": 0.2, "book/errata": 0.3, "notebooks": 0.4}
+"""How much a page counts in the search by the beginning of its name; a chapter counts one."""
+
+
+def texts(folder: Path, pages: Iterable[str], contents: Any) -> dict[str, dict[str, Any]]:
+    """Text and weight of built pages for the search, by their names."""
+    chapters = {c["file"] for part in contents["parts"][:-2] for c in part["chapters"]}
+    result = {}
+    for name in pages:
+        built = (folder / f"{name}.html").read_text()
+        body = re.search(r'(?s)<article class="bd-article">(.*?)</article>', built)[1]
+        bare = re.sub(r"(?s)<(script|style|svg|pre).*?</\1>|<[^>]+>", " ", body)
+        text = re.sub(r"\\[()]|¶|#(?=\s)", "", html.unescape(bare))
+        known = (weight for part, weight in WEIGHTS.items() if name.startswith(part))
+        weight = 1.0 if name in chapters else next(known, 0.7)
+        result[name] = {"text": " ".join(text.split()), "weight": weight}
+    return result
+
+
 def _write_texts(app: Any, exception: Exception | None) -> None:
-    texts = getattr(app.env, "seedslib_texts", {})
+    """All pages that there are, not those alone that were written again."""
     if exception is None and app.builder.format == "html":
-        text = "const TEXTS = " + json.dumps(texts, ensure_ascii=False) + ";\n"
+        contents = yaml.safe_load((Path(app.srcdir) / "_toc.yml").read_text())
+        found = texts(Path(app.outdir), sorted(app.env.found_docs), contents)
+        text = "const TEXTS = " + json.dumps(found, ensure_ascii=False) + ";\n"
         (Path(app.outdir) / "_static" / "texts.js").write_text(text)
 
 

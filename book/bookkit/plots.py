@@ -90,6 +90,7 @@ def chapter() -> None:
     ``C0`` is the filter of the page, ``C1`` its rival (a Kalman filter), ``C2`` the truth.
     """
     plt.rcParams.update(_STYLE | _CHAPTER)
+    plt.close(plt.figure())
     _small_pictures()
 
 
@@ -130,9 +131,8 @@ def look(name: str, **changes: Any) -> dict[str, Any]:
 
 
 def _small_pictures() -> None:
-    """Figures shown from now on are pictures of few colours."""
+    """Figures shown from now on have few colours: after the first, which sets its formatter."""
     if (shell := get_ipython()) is not None:
-        plt.close(plt.figure())  # the first figure sets a formatter of its own
         shell.display_formatter.formatters["image/png"].for_type(Figure, _picture)
 
 

@@ -10,8 +10,8 @@ _PROGRAM = re.compile(
     re.M | re.S,
 )  # an indentation, the options of a cell, the program
 
-_HEAD = """# pyright: reportArgumentType=false, reportCallIssue=false, reportIndexIssue=false
-# pyright: reportOperatorIssue=false, reportPossiblyUnboundVariable=false, reportRedeclaration=false
+_HEAD = """# pyright: reportArgumentType=false
+# pyright: reportPossiblyUnboundVariable=false, reportRedeclaration=false
 """
 """What checkers say of options in dictionaries and of names set in loops is no fault of a cell."""
 

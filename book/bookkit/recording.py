@@ -143,7 +143,8 @@ def claim(
         An id that is not in the ledger, or numbers that do not fit the ledger's in number.
     """
     entry = look_up(name)
-    evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _statement(entry)}
+    evidence: dict[str, object] = {"paper": entry.origin != "ours", "place": entry.place}
+    evidence["says"] = _statement(entry)
     holds, corrected = _boolean(name, "holds", holds), _boolean(name, "corrected", corrected)
     if computed is not None:
         evidence["computed"] = _numbers(name, computed)
@@ -183,7 +184,7 @@ def claim(
 
 
 def _statement(entry: Claim) -> str:
-    """What is claimed and where, as one paragraph of text."""
+    """What is claimed, as one paragraph of text."""
     parts = [entry.statement.strip()]
     if entry.reading:
         label = {None: "Reading", "one": "Under one reading", "all": "Under every reading tried"}
@@ -192,7 +193,7 @@ def _statement(entry: Claim) -> str:
         parts += [f"Printed: {entry.printed_formula}.", f"Right: {entry.corrected_formula}."]
     if entry.because:
         parts.append(f"({entry.because.strip()})")
-    return f"{entry.place}: " + " ".join(" ".join(parts).split())
+    return " ".join(" ".join(parts).split())
 
 
 def _is_truth(value: object) -> bool:
@@ -263,12 +264,11 @@ def evidence(entry: Mapping) -> list[str]:
 def claim_html(name: str, entry: Mapping) -> str:
     """The badge of a claim on a page: verdict and place in one line, the rest folded."""
     label = typeset(name)
-    place, _, says = entry["says"].partition(": ")
     detail = typeset("; ".join(evidence(entry)))
     return (
         f'<details class="claim {entry["verdict"]}" id="{label}"><summary><span class="verdict">'
-        f"{entry['verdict']}</span> · <b>{label}</b> · {typeset(place)}</summary>"
-        f"<p>{typeset(says)}</p><p>{detail}</p></details>"
+        f"{entry['verdict']}</span> · <b>{label}</b> · {typeset(entry['place'])}</summary>"
+        f"<p>{typeset(entry['says'])}</p><p>{detail}</p></details>"
     )
 
 

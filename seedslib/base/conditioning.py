@@ -24,6 +24,7 @@ from seedslib.base.linalg import (
     eliminate,
     solve_psd,
     variances,
+    whole_is_quicker,
 )
 
 LOG_2PI = math.log(2.0 * math.pi)
@@ -125,8 +126,7 @@ def update(
             missing = len(some) - some.sum(axis=0)
             cov_batch = batch_shape(cov_batch, observed.shape[1:])
 
-    # for few items whole vectors and covariances are quicker than components
-    whole = cov is not None and depth > 0 and math.prod(batch) < len(cov) ** 2
+    whole = cov is not None and whole_is_quicker(batch, len(cov))
     given = mean, None if whole else cov, innovation, cross, innovation_cov
     lists = [None if part is None else _components(part, depth) for part in given]
     if whole:

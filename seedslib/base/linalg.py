@@ -199,6 +199,11 @@ def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return reduce(add, squares)
 
 
+def whole_is_quicker(batch: tuple[int, ...], n: int) -> bool:
+    """Whether matrices (n, n, *batch) are better taken whole than as lists of their components."""
+    return batch != () and math.prod(batch) < n * n
+
+
 def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L Lᵀ = P and no negative number on its diagonal.
 
@@ -224,8 +229,7 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     n = len(P)
     L = np.zeros_like(P)
     # lists of components are faster than slices, but for many of them and few items
-    few = P.ndim > 2 and math.prod(P.shape[2:]) < n * n
-    if few:
+    if few := whole_is_quicker(P.shape[2:], n):
         rest = P.copy()
     else:
         rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]

@@ -52,6 +52,18 @@ def test_programs_have_the_lines_of_their_page(tmp_path):
     assert [line for k, line in code if page[k] != line] == []
 
 
+def test_the_search_knows_every_built_page_and_puts_chapters_first(tmp_path):
+    names = ("notebooks/one", "notebooks/two", "book/trust")
+    for name in names:
+        path = tmp_path / f"{name}.html"
+        path.parent.mkdir(exist_ok=True)
+        path.write_text('<article class="bd-article"><p>A &lt; b<pre>code</pre></p></article>')
+    contents = {"parts": [{"chapters": [{"file": names[0]}]}, {}, {}]}
+    found = pages.texts(tmp_path, names, contents)
+    assert {name: page["text"] for name, page in found.items()} == dict.fromkeys(names, "A < b")
+    assert found[names[0]]["weight"] > found[names[2]]["weight"] > found[names[1]]["weight"]
+
+
 OUTSIDE = "//cdn.example.org/a"
 
 
@@ -69,6 +81,7 @@ OUTSIDE = "//cdn.example.org/a"
 def test_what_a_page_loads_from_the_network_is_named(tmp_path, loads):
     page = tmp_path / "page.html"
     sound = '<a href="https://example.org/">outside</a><img src="x.png"><link href="a.css">'
+    sound += '<img src="data:image/png;base64,//8A">'
     page.write_text(sound)
     assert html_check.network_loads(tmp_path) == []
     if loads == "css":

@@ -114,12 +114,12 @@ def test_a_claim_without_a_clear_question_is_refused(known, shown, ledger, argum
     ],
 )
 def test_a_planted_fault_that_leaves_the_verdict_is_missed(known, shown, ledger, arguments, missed):
-    known(**ledger)
+    known(**ledger, place="part 2: example 0")
     claim("TS-X1", **arguments, note="a < b & c")
     found = read(shown).claims["TS-X1"]
     assert found["wrong"] == ["no sign", "half"]
     assert found.get("missed", []) == missed
     box = shown[0][0]["text/html"]
     assert ("Would not fail with: no sign" in box) == bool(missed)
-    assert "<p>a &lt; b</p>" in box
+    assert "part 2: example 0</summary><p>a &lt; b</p>" in box
     assert "a &lt; b &amp; c" in box
