@@ -25,6 +25,7 @@ PAPERS = {
     "riemann": "Riemann problem",
     "jump-diffusion": "Large-order filter for jump-diffusions",
     "switching": "Large-order filter for switching systems",
+    "learned": "Learned filters, the tables of others",
     "field": "Compared with the field",
 }
 ORIGINS = {
