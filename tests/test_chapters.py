@@ -1,11 +1,14 @@
 """What every chapter of the book promises its reader."""
 
+import ast
 import base64
+import builtins
 import json
 import os
 import re
 import struct
 import subprocess
+import symtable
 import sys
 from pathlib import Path
 
@@ -80,13 +83,65 @@ def test_the_contents_are_a_book_a_record_and_a_library():
     assert len(list((ROOT / "notebooks").glob("*.md"))) <= 44
 
 
-def run_by_itself(name, tmp_path):
-    """Run a chapter's visible code in a process of its own, without the harness of the book."""
-    cells = json.loads((ROOT / "notebooks" / f"{name}.ipynb").read_text())["cells"]
-    parameters = [c for c in code(cells) if "parameters" in tags(c)]
-    shown = [c for c in code(cells) if not hidden(c) and c not in parameters]
-    program = "\n\n".join(map(source, [*parameters, *shown]))
-    assert "bookkit" not in program
+def names_of(program):
+    """The global names that a program binds, and those that it reads and does not bind itself."""
+    bound, read, tables = set(), set(), [symtable.symtable(program, "cell", "exec")]
+    while tables:
+        table = tables.pop()
+        tables += table.get_children()
+        for symbol in table.get_symbols():
+            top = table.get_type() == "module"
+            if (top or symbol.is_declared_global()) and (
+                symbol.is_assigned() or symbol.is_imported() or symbol.is_namespace()
+            ):
+                bound.add(symbol.get_name())
+            if symbol.is_referenced() and (top or symbol.is_global()):
+                read.add(symbol.get_name())
+    return bound, read - bound
+
+
+def needs_of_a_chapter(cells):
+    """What the visible code of a chapter wants from elsewhere: names and packages."""
+    known, wanted, concealed, packages = {*dir(builtins), "display"}, set(), set(), set()
+    for cell in code(cells):
+        bound, read = names_of(source(cell))
+        if hidden(cell) and "parameters" not in tags(cell):
+            concealed |= bound
+            continue
+        wanted |= (read - known) | (read & concealed)
+        known |= bound
+        for node in ast.walk(ast.parse(source(cell))):
+            if isinstance(node, ast.ImportFrom):
+                packages.add((node.module or "").partition(".")[0])
+            elif isinstance(node, ast.Import):
+                packages |= {alias.name.partition(".")[0] for alias in node.names}
+    return wanted, packages - set(sys.stdlib_module_names)
+
+
+def test_visible_code_wants_nothing_from_hidden_cells(chapter):
+    """With the run of the whole notebook this says that the visible code runs by itself."""
+    wanted, packages = needs_of_a_chapter(chapter)
+    assert wanted == set()
+    assert packages <= {"seedslib", "numpy", "scipy", "sympy", "matplotlib"}
+
+
+@pytest.mark.parametrize(
+    ("concealed", "name"), [("import numpy as np", "np"), ("size = 3", "size")]
+)
+def test_visible_code_that_wants_a_hidden_cell_is_found(concealed, name):
+    def cell(text, *names):
+        return {"cell_type": "code", "source": text, "metadata": {"tags": names}, "outputs": []}
+
+    shown = ["import numpy as np", "size = 3", "def f():\n    return np.zeros(size)", "f()"]
+    cells = [cell(text, *(["remove-cell"] if text == concealed else [])) for text in shown]
+    assert needs_of_a_chapter(cells)[0] == {name}
+
+
+def test_visible_code_runs_by_itself(tmp_path):
+    """The shortest chapter, in a process of its own without the harness of the book."""
+    cells = json.loads((ROOT / "notebooks/first_filter.ipynb").read_text())["cells"]
+    shown = [c for c in code(cells) if not hidden(c) or "parameters" in tags(c)]
+    program = "\n\n".join(map(source, shown))
     (tmp_path / "chapter.py").write_text("from IPython.display import display\n" + program)
     (tmp_path / "bookkit.py").write_text("raise ImportError('only in the book')")
     environment = os.environ | {"PYTHONPATH": f"{tmp_path}:{ROOT}", "MPLBACKEND": "agg"}
@@ -100,18 +155,6 @@ def run_by_itself(name, tmp_path):
         check=False,
     )
     assert run.returncode == 0, run.stderr[-2000:]
-
-
-class TestEvenChapters:  # two classes go to two processes
-    @pytest.mark.parametrize("name", CHAPTERS[::2])
-    def test_visible_code_runs_by_itself(self, name, tmp_path):
-        run_by_itself(name, tmp_path)
-
-
-class TestOddChapters:
-    @pytest.mark.parametrize("name", CHAPTERS[1::2])
-    def test_visible_code_runs_by_itself(self, name, tmp_path):
-        run_by_itself(name, tmp_path)
 
 
 def test_the_harness_is_at_most_two_hidden_cells(chapter):
