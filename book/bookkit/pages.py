@@ -186,10 +186,9 @@ def _read_source(app: Any, docname: str, source: list[str]) -> None:
 def _mark_sentences(app: Any, doctree: nodes.document, docname: str) -> None:
     """Printed sentences are broken as text is; printed tables keep their lines."""
     for block in doctree.findall(nodes.literal_block):
-        lines = block.astext().splitlines()
-        if block.get("language") == "myst-ansi" and any(
-            len(a) > 60 and "  " not in a.strip() for a in lines
-        ):
+        rows = [line.strip() for line in block.astext().splitlines()]
+        long = any(len(row) > 60 and "  " not in row for row in rows)
+        if block.get("language") == "myst-ansi" and long and sum("  " in row for row in rows) < 2:
             block["classes"].append("sentences")
 
 

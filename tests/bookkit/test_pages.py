@@ -51,10 +51,11 @@ def test_printed_sentences_are_told_from_printed_tables():
     def block(text):
         return nodes.literal_block(text, text, language="myst-ansi")
 
-    sentence, table = block("y: wanted numbers, " + 15 * "and more "), block(30 * "1.23  ")
-    pages._mark_sentences(None, nodes.container("", sentence, table), "page")
+    words = "y: wanted numbers, " + 15 * "and more "
+    sentence, table, titled = block(words), block(30 * "1.23  "), block(words + 2 * "\nrow  1")
+    pages._mark_sentences(None, nodes.container("", sentence, table, titled), "page")
     assert sentence["classes"] == ["sentences"]
-    assert table["classes"] == []
+    assert table["classes"] == titled["classes"] == []
 
 
 def test_programs_have_the_lines_of_their_page(tmp_path):
