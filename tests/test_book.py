@@ -5,6 +5,7 @@ import importlib
 import json
 import re
 import tomllib
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -80,6 +81,16 @@ def test_the_contents_name_every_page_and_notebook_once():
     assert len(files) == len(set(files))
     sources = [*ROOT.glob("book/*.md"), *ROOT.glob("notebooks/*.md")]
     assert {f"{path.parent.name}/{path.stem}" for path in sources} <= set(files)
+
+
+def test_no_line_of_a_sentence_becomes_an_item_of_a_list():
+    for path in [*ROOT.glob("book/*.md"), *ROOT.glob("notebooks/*.md")]:
+        text = re.sub(r"(?ms)^( *)(```|\$\$).*?^\1\2", "", path.read_text())
+        for before, line in pairwise(text.splitlines()):
+            item = re.match(r"(\d+[.)]|[-+*]) ", line)
+            assert not (
+                item and re.match(r"[\w$(\[]", before) and not re.match(r"\d+[.)] ", before)
+            ), line
 
 
 @pytest.mark.parametrize("path", sorted(ROOT.glob("book/_static/*.svg")), ids=lambda p: p.stem)

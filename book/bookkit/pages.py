@@ -170,6 +170,7 @@ def setup(app: Any) -> dict[str, bool]:
     (root / "book" / "claims.md").write_text(claims_page(root))
     app.config.myst_substitutions = substitutions(root)
     app.connect("source-read", _read_source)
+    app.connect("doctree-resolved", _mark_sentences)
     app.connect("html-page-context", _page, priority=900)  # after the theme has made the sidebar
     app.connect("build-finished", _write_texts)
     app.connect("autodoc-process-docstring", _literal_stars, priority=100)
@@ -180,6 +181,15 @@ def setup(app: Any) -> dict[str, bool]:
 def _read_source(app: Any, docname: str, source: list[str]) -> None:
     if str(app.env.doc2path(docname)).endswith(".ipynb"):
         source[0] = json.dumps(as_shown(json.loads(source[0])))
+
+
+def _mark_sentences(app: Any, doctree: nodes.document, docname: str) -> None:
+    """Printed sentences are broken as text is; printed tables keep their lines."""
+    for block in doctree.findall(nodes.literal_block):
+        rows = [line.strip() for line in block.astext().splitlines()]
+        long = any(len(row) > 60 and "  " not in row for row in rows)
+        if block.get("language") == "myst-ansi" and long and sum("  " in row for row in rows) < 2:
+            block["classes"].append("sentences")
 
 
 def _page(app: Any, pagename: str, template: str, context: dict, doctree: Any) -> None:

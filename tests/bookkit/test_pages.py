@@ -7,6 +7,7 @@ import struct
 from pathlib import Path
 
 import pytest
+from docutils import nodes
 
 import seedslib
 from bookkit import html_check, pages, programs
@@ -36,11 +37,25 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(capsys):
     assert f"\n```\n{capsys.readouterr().out}```\n" in text
 
 
-@pytest.mark.parametrize("page", sorted((ROOT / "book" / "api").glob("*.md")), ids=lambda p: p.stem)
-def test_examples_of_the_reference_print_what_they_show(page):
+SHOWN = [ROOT / "book" / "index.md", *sorted((ROOT / "book" / "api").glob("*.md"))]
+
+
+@pytest.mark.parametrize("page", SHOWN, ids=lambda p: p.stem)
+def test_examples_of_the_reference_and_the_first_page_print_what_they_show(page):
     tried = doctest.testfile(str(page), module_relative=False)
     assert tried.failed == 0
     assert tried.attempted > 1 or page.stem in ("base", "tape", "extra")
+
+
+def test_printed_sentences_are_told_from_printed_tables():
+    def block(text):
+        return nodes.literal_block(text, text, language="myst-ansi")
+
+    words = "y: wanted numbers, " + 15 * "and more "
+    sentence, table, titled = block(words), block(30 * "1.23  "), block(words + 2 * "\nrow  1")
+    pages._mark_sentences(None, nodes.container("", sentence, table, titled), "page")
+    assert sentence["classes"] == ["sentences"]
+    assert table["classes"] == titled["classes"] == []
 
 
 def test_programs_have_the_lines_of_their_page(tmp_path):
