@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,15 +14,17 @@ from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_real, brief
 from seedslib.base.clock import when
-from seedslib.base.symbols import Input
 from seedslib.base.values import as_trajectory
 from seedslib.filters.base import Estimates, Filter, joined, stacked
 from seedslib.models.kinds import AnySystem, as_grid, as_system, inputs_of
 
+if TYPE_CHECKING:
+    from seedslib.base.symbols import Input
+
 FILTER = 0x46494C54
 """Key of the stream of a filter that draws, among the children of a block's."""
 
-Policy = Callable[[float, Estimates], Mapping[Input, ArrayLike]]
+Policy: TypeAlias = "Callable[[float, Estimates], Mapping[Input, ArrayLike]]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,11 +125,11 @@ def simulate_closed_loop(
 
     def work(start: int, stop: int, stream: np.random.SeedSequence) -> Estimates:
         own = slice(start, stop)
-        truth, eye = (
+        truth, observer = (
             each.bind(part.of(own).constant)
             for each, part in zip((system, filter), numbers, strict=True)
         )
-        state = eye.initial((stop - start,), descendant(stream, FILTER))
+        state = observer.initial((stop - start,), descendant(stream, FILTER))
         x, u, reports = None, nothing, []
         for k, child in enumerate(stream.spawn(count)):
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
@@ -140,8 +142,8 @@ def simulate_closed_loop(
                     x = truth.advance(x, times[k - 1], t, moving, p, **options)
                 y = truth.sensor.sample(t, x, sensing, truth.values(nothing))
             states[k, :, own], measurements[k, :, own] = x, y
-            state = eye.correct(eye.predict(state, t, inputs=u), y, inputs=nothing)
-            reports.append(eye.report(state))
+            state = observer.correct(observer.predict(state, t, inputs=u), y, inputs=nothing)
+            reports.append(observer.report(state))
             if k < count - 1:
                 u = _values(policy(t, reports[-1]), chosen, stop - start, t)
             for name, value in u.items():

@@ -7,8 +7,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
 from seedslib.base.checks import as_real, brief
-from seedslib.base.conditioning import update
-from seedslib.base.linalg import RELATIVE, variances, without_rounding
+from seedslib.base.conditioning import kalman_gain, update
+from seedslib.base.linalg import RELATIVE, symmetrized, variances
+
+GONE = 1e-20
+"""A variance that falls below this fraction of itself is the square of rounding."""
 
 
 def constrain(
@@ -60,7 +63,8 @@ def constrain(
     except ValueError:
         raise ValueError(f"mean, cov, D, d: wanted axes of the same runs, got {parts}") from None
     mean, d = align(mean, 1, depth), align(d, 1, depth)
-    cov, D = (M if M.ndim == 2 else align(M, 2, depth) for M in (cov, D))
+    own = depth if max(cov.ndim, D.ndim) > 2 else 0
+    cov, D = align(cov, 2, own), align(D, 2, own)
 
     cross = np.einsum("ij...,cj...->ic...", cov, D)
     of_rows = np.einsum("ci...,ie...->ce...", D, cross)
@@ -69,7 +73,10 @@ def constrain(
     known = np.abs(variances(of_rows)) <= RELATIVE * deviations**2
     of_rows = np.where(known | known[:, None], 0.0, of_rows)
     moments = np.einsum("ci...,i...->c...", D, mean), np.where(known, 0.0, cross), of_rows
-    mean, corrected, loglik = update(mean, cov, d, moments, exact=True)
+    # the same gain as in `update`; of (I - K D) P (I - K D)ᵀ no variance is negative
+    gain = kalman_gain(moments[1], of_rows)
+    rest = align(np.eye(n), 2, own) - np.einsum("ic...,cj...->ij...", gain, D)
+    mean, _, loglik = update(mean, None, d, moments, exact=True)
     if np.isnan(loglik).any():
         raise ValueError("cov: wanted positive semidefinite matrices, got others")
     if (loglik == -np.inf).any():
@@ -77,4 +84,6 @@ def constrain(
             f"d: wanted values that D x can have, got {brief(d.tolist())}, which contradicts what "
             "`cov` knows exactly or, in redundant rows, itself"
         )
-    return mean, without_rounding(corrected, cov)
+    corrected = np.einsum("ij...,jk...,lk...->il...", rest, cov, rest)
+    gone = np.abs(variances(corrected)) <= GONE * np.abs(variances(cov))
+    return mean, np.where(gone | gone[:, None], 0.0, symmetrized(corrected))

@@ -15,7 +15,7 @@ close = np.testing.assert_allclose
 
 
 def in_null_space(mean, cov, D, d):
-    """Any solution x0 of D x = d and x = x0 + N z: least squares for z, whose covariance is known."""
+    """With a solution x0 of D x = d, x = x0 + N z: least squares for z, and their covariance."""
     x0, N = np.linalg.lstsq(D, d)[0], null_space(D)
     weight = np.linalg.inv(cov)
     spread = np.linalg.inv(N.T @ weight @ N)
@@ -76,6 +76,29 @@ def test_a_measurement_whose_noise_vanishes_says_the_same():
     close(ratios[1], 100, rtol=0.05)
 
 
+def test_what_is_constrained_is_known_afterwards():
+    """Rounding leaves no variance, of either sign, that a later step would take for one."""
+    root = rng.normal(size=(4, 4, 200))
+    covs = np.einsum("ijN,kjN->ikN", root, root)
+    for rows in (np.eye(4)[1:3], np.eye(4)[:2] @ [[1, 1, 0, 0], [0, 2, 0, 1], [0] * 4, [0] * 4]):
+        mean, cov = constrain(np.zeros((4, 200)), covs, rows, [1.0, 2.0])
+        assert (np.diagonal(cov) >= 0).all()
+        again = constrain(mean, cov, rows, [1.0, 2.0])
+        close(again[0], mean, atol=1e-9)
+        close(again[1], cov, atol=1e-12)
+        with pytest.raises(ValueError, match=r"^d\b"):
+            constrain(mean, cov, rows, [1.0, 2.1])
+    cov = constrain(np.zeros((4, 200)), covs, np.eye(4)[1:3], [1.0, 2.0])[1]
+    assert not cov[1:3].any()
+
+
+def test_a_wide_prior_is_constrained_to_a_narrow_one():
+    """Of equal components the narrow one says what both are."""
+    mean, cov = constrain([1e6, 2.0], np.diag([1e14, 1.0]), [[1, -1]], [0.0])
+    close(mean, [2.0, 2.0], rtol=1e-6)
+    close(cov, np.ones((2, 2)), rtol=1e-6)
+
+
 @pytest.mark.parametrize("own_rows", [False, True])
 @pytest.mark.parametrize("own_cov", [False, True])
 def test_runs_are_constrained_one_by_one(own_rows, own_cov):
@@ -110,7 +133,7 @@ KNOWN = constrain(M, P, D, VALUES)
 INFINITE = np.diag([np.inf, 1, 1, 1])
 ROWS = [
     (lambda: constrain(M, P, [D[0], 2 * D[0]], [1, 3]), ValueError, "d"),
-    (lambda: constrain(*KNOWN, D, VALUES + [0, 1e-3]), ValueError, "d"),
+    (lambda: constrain(*KNOWN, D, VALUES + 1e-3), ValueError, "d"),
     (lambda: constrain(*KNOWN, D[0] + D[1], VALUES.sum()), ValueError, "D"),
     (lambda: constrain(*KNOWN, [D[0] + D[1]], [VALUES.sum() + 0.1]), ValueError, "d"),
     (lambda: constrain(M, SINGULAR, null_space(SINGULAR).T, [99.0]), ValueError, "d"),
