@@ -21,6 +21,8 @@ from seedslib.models.kinds import AnySystem, as_grid, as_system, inputs_of
 if TYPE_CHECKING:
     from seedslib.base.symbols import Input
 
+KINDS = "JumpDiffusion", "DiscreteSystem", "LinearSystem"
+
 FILTER = 0x46494C54
 """Key of the stream of a filter that draws, among the children of a block's."""
 
@@ -96,19 +98,19 @@ def simulate_closed_loop(
         inputs or measurements; a policy that does not return a finite number for each input, or
         one for each path; what `simulate` refuses.
     """
-    as_system("system", system, "JumpDiffusion", "DiscreteSystem")
     if not isinstance(filter, Filter):
         raise TypeError(f"filter: wanted a filter of this library, got {brief(filter)}")
     if not callable(policy):
         raise TypeError(f"policy: wanted a function of time and estimate, got {brief(policy)}")
-    chosen = _chosen("system", system)
+    model = filter.system
+    chosen, expected = _chosen("system", system), _chosen("filter", model)
     if not chosen:
         raise ValueError("system: wanted dynamics with an Input, got none that is not bound")
-    model, size = filter.system, system.measurement_size
-    if _chosen("filter", model) != chosen or model.measurement_size != size:
+    size = system.measurement_size
+    if expected != chosen or model.measurement_size != size:
         raise ValueError(
             f"filter: wanted one for {size} measured components and the inputs {_names(chosen)}, "
-            f"got {model.measurement_size} and {_names(_chosen('filter', model)) or 'none'}"
+            f"got {model.measurement_size} and {_names(expected) or 'none'}"
         )
     times, paths = as_grid("times", times, system), as_count("paths", paths)
     count = len(times)
@@ -116,7 +118,7 @@ def simulate_closed_loop(
         raise ValueError("times: wanted at least two times, got one")
     states = np.empty((count, system.state_size, paths))
     measurements = np.empty((count, size, paths))
-    inputs = {u: np.empty((count, paths)) for u in chosen}
+    inputs = {u: np.empty((count, paths)) for u in sorted(chosen, key=str)}
     nothing = dict.fromkeys(chosen, 0.0)  # for sensors, which do not look at inputs
     numbers = [
         as_trajectory(each, {u: np.zeros(count) for u in chosen}, count, (paths,))
@@ -160,7 +162,7 @@ def _names(inputs: frozenset[Input]) -> str:
 
 def _chosen(name: str, system: AnySystem) -> frozenset[Input]:
     """Inputs of a system that have no number yet, none of which its sensor may mention."""
-    free = inputs_of(system) - system.numbers.keys()
+    free = inputs_of(as_system(name, system, *KINDS)) - system.numbers.keys()
     if early := free.intersection(system.sensor.mentions):
         raise ValueError(
             f"{name}: wanted a sensor without inputs, for they are chosen after the measurement, "

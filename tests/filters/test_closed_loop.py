@@ -110,7 +110,13 @@ def test_a_bound_input_is_not_chosen_and_may_be_that_of_a_path():
 
 
 def test_a_filter_may_have_another_model_than_the_truth():
-    other = LinearSystem(0.5, 3, 1, 2, 1, 2, b=2 * U)
+    """Also one that knows nothing of the first state."""
+    for start in ({"mean0": 1, "cov0": 2}, {"mean0": 0, "cov0": 0, "diffuse": (0,)}):
+        other = LinearSystem(0.5, 3, 1, 2, **start, b=2 * U)
+        assert_follows(other)
+
+
+def assert_follows(other):
     loop = simulate_closed_loop(LINE, KalmanFilter(other), lambda t, e: {U: e.mean[0]}, TIMES, 5, 1)
     equal(loop.states, LINE.simulate(TIMES, 5, 1, inputs=loop.inputs).states)
     run = KalmanFilter(other).run(TIMES, loop.measurements, inputs=loop.inputs)
@@ -226,6 +232,7 @@ ROWS = [
     (lambda: loop(system=BANK, filter=KnownModeFilter(BANK)), TypeError, "system"),
     (lambda: loop(system=KalmanFilter(LINE)), TypeError, "system"),
     (lambda: loop(filter=LINE), TypeError, "filter"),
+    (lambda: loop(filter=KnownModeFilter(BANK)), TypeError, "filter"),
     (lambda: loop(filter=KalmanFilter(QUIET)), ValueError, "filter"),
     (lambda: loop(filter=KalmanFilter(SEEN)), ValueError, "filter"),
     (lambda: loop(filter=KalmanFilter(TWO)), ValueError, "filter"),
