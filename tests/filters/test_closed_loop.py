@@ -96,6 +96,21 @@ def test_options_and_several_inputs_reach_the_system():
     equal(loop.inputs[a][:4], loop.estimates.mean[:4, 0])
 
 
+def test_a_filter_that_draws_has_a_stream_of_its_own_in_each_block():
+    """Not that of a time, from which the system draws."""
+    noted = []
+
+    class Noting(KalmanFilter):
+        def initial(self, batch=(), seed=None):
+            noted.append((*batch, *seed.spawn_key))
+            return super().initial(batch)
+
+    simulate_closed_loop(LINE, Noting(LINE), lambda t, e: {U: 0.0}, TIMES, 8200, 2)
+    (*first, one), (*second, other) = noted
+    assert (first, second) == ([8192, 0], [8, 1])
+    assert one == other >= 10**6
+
+
 def test_a_bound_input_is_not_chosen_and_may_be_that_of_a_path():
     system = LinearSystem(0.9, 1, 1, 1, 0, 2, b=U + S, d=S)
     given = np.linspace(-1, 1, 8200)
