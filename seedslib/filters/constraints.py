@@ -37,7 +37,7 @@ def constrain(
     -------
     mean : ndarray, shape (n, *batch)
     cov : ndarray, shape (n, n, *batch)
-        Without batch axes where `cov` and `D` have none.
+        Without batch axes where `cov` and `D` have none, of length one where theirs are fewer.
 
     Raises
     ------
@@ -49,9 +49,11 @@ def constrain(
 
     Notes
     -----
-    A filter goes on from a constrained estimate with
-    ``state._replace(mean=mean, cov=cov)``. Its dynamics need not respect the constraint, so it
-    is to be applied after every correction.
+    A filter that carries means and covariances goes on from a constrained estimate with
+    ``state._replace(mean=mean, cov=cov)``. Its dynamics need not respect the constraint, so it is
+    to be applied after every correction. To constrain the estimates of a whole run afterwards,
+    move the axis of times to the end:
+    ``constrain(np.moveaxis(run.mean, 0, -1), np.moveaxis(run.cov, 0, -1), D, d)``.
     """
     mean = as_real("mean", mean, (None, ...))
     n = len(mean)

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy.linalg import null_space
 
-from seedslib.filters import constrain
+from seedslib.filters import KalmanFilter, constrain
+from seedslib.models import LinearSystem
 
 rng = np.random.default_rng(4)
 ROOT = rng.normal(size=(4, 4))
@@ -119,6 +120,23 @@ def test_runs_are_constrained_one_by_one(own_rows, own_cov):
     close(common[0][..., 2, 1], constrain(M, P, D, values[..., 2, 1])[0], rtol=1e-12)
     assert common[0].shape == (4, *runs)
     assert common[1].shape == (4, 4)
+
+
+def test_the_estimates_of_a_whole_run():
+    """Each time of each record by itself; a filter goes on from the constrained state."""
+    system = LinearSystem(0.9 * np.eye(4), P, np.eye(4)[:2], np.eye(2), M, P)
+    filter, times, y = KalmanFilter(system), np.arange(3.0), rng.normal(size=(3, 2, 5))
+    run = filter.run(times, y)
+    mean, cov = constrain(np.moveaxis(run.mean, 0, -1), np.moveaxis(run.cov, 0, -1), D, VALUES)
+    for k in range(3):
+        wanted = constrain(run.mean[k], run.cov[k], D, VALUES)
+        close(mean[..., k], wanted[0], atol=1e-12)
+        close(cov[..., 0, k], wanted[1], atol=1e-12)  # common to all records
+    state = filter.step(filter.initial((5,)), 0.0, y[0])
+    before = dict(zip(("mean", "cov"), constrain(state.mean, state.cov, D, VALUES), strict=True))
+    later = filter.predict(state._replace(**before), 1.0)
+    close(later.mean, 0.9 * before["mean"], rtol=1e-12)
+    close(later.cov, 0.81 * before["cov"] + P, rtol=1e-12)
 
 
 def test_units_of_components_do_not_matter():
