@@ -12,6 +12,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.filters.base import Estimates as Estimates
     from seedslib.filters.base import Filter as Filter
+    from seedslib.filters.closed_loop import ClosedLoop as ClosedLoop
+    from seedslib.filters.closed_loop import simulate_closed_loop as simulate_closed_loop
+    from seedslib.filters.constraints import constrain as constrain
     from seedslib.filters.covariance import CovarianceFilter as CovarianceFilter
     from seedslib.filters.covariance import assumed_density as assumed_density
     from seedslib.filters.covariance import cubature_kalman as cubature_kalman

@@ -37,11 +37,14 @@ def test_the_program_of_the_readme_prints_what_the_readme_shows(capsys):
     assert f"\n```\n{capsys.readouterr().out}```\n" in text
 
 
-SHOWN = [ROOT / "book" / "index.md", *sorted((ROOT / "book" / "api").glob("*.md"))]
+SHOWN = [
+    *(ROOT / "book" / name for name in ("index.md", "overview_how.md")),
+    *sorted((ROOT / "book" / "api").glob("*.md")),
+]
 
 
 @pytest.mark.parametrize("page", SHOWN, ids=lambda p: p.stem)
-def test_examples_of_the_reference_and_the_first_page_print_what_they_show(page):
+def test_examples_of_the_reference_and_of_first_pages_print_what_they_show(page):
     tried = doctest.testfile(str(page), module_relative=False)
     assert tried.failed == 0
     assert tried.attempted > 1 or page.stem in ("base", "tape", "extra")
