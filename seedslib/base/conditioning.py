@@ -118,7 +118,7 @@ def update(
         # a component that no item has is dropped: a covariance common to all items stays common
         some = observed.reshape(len(y), -1).any(axis=1)
         y, expected, innovation, cross = y[some], expected[some], innovation[some], cross[:, some]
-        innovation_cov, some = without_missing(innovation_cov, observed), observed[some]
+        innovation_cov, some = _without_missing(innovation_cov, observed), observed[some]
         if not some.all():
             innovation, cross = np.where(some, innovation, 0.0), np.where(some, cross, 0.0)
             missing = len(some) - some.sum(axis=0)
@@ -157,7 +157,7 @@ def update(
         narrow = (variances(new_cov) < WIDE * variances(cov)).any(axis=0)
         if np.any(narrow):
             R = align(np.asarray(noise(), dtype=float), 2, depth)
-            R = R if observed.all() else without_missing(R, observed)
+            R = R if observed.all() else _without_missing(R, observed)
             _update_by_roots(new_cov, narrow, cov, cross, innovation_cov, R)
     if depth:
         new_mean, loglik = new_mean.reshape(len(mean), *batch), loglik.reshape(batch)
@@ -244,7 +244,7 @@ def _corrected(
     return full
 
 
-def without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
+def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
     """Covariance of the components of y that some item has; those an item misses have variance one.
 
     Uncorrelated with all others and with an innovation of zero, they change nothing.
@@ -297,7 +297,7 @@ def _update_by_roots(
         exact = (np.abs(rest) <= UNEXPLAINED * unit[:, None] * unit[None, :]).all(axis=(0, 1))
     exact &= ~(noise == 0.0).all(axis=(0, 1)) & np.isfinite(root).all(axis=(0, 1))
     parts = root, np.swapaxes(slope, 0, 1), cholesky(noise)
-    _, _, root = correct_root(*(part[..., exact] for part in parts))
+    _, _, root, _ = correct_root(*(part[..., exact] for part in parts))
     narrow = narrow.copy()
     narrow[narrow] = exact
     new_cov[:, :, narrow] = square(root)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.arrays import align
+from seedslib.base.linalg import RELATIVE, variances
 
 
 def triangle(*blocks: np.ndarray) -> np.ndarray:
@@ -29,15 +30,21 @@ def triangle(*blocks: np.ndarray) -> np.ndarray:
     rows = np.moveaxis(np.concatenate(parts, axis=1), (0, 1), (-1, -2))
     upper = np.linalg.qr(rows, mode="r")
     signs = np.where(np.diagonal(upper, axis1=-2, axis2=-1) < 0, -1.0, 1.0)
-    return np.moveaxis(upper * signs[..., None], (-1, -2), (0, 1))
+    # no -0.0, whose sign the next factorization would look at
+    return np.moveaxis(upper * signs[..., None] + 0.0, (-1, -2), (0, 1))
 
 
 def correct_root(
-    root: np.ndarray, slope_root: np.ndarray, noise_root: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    root: np.ndarray,
+    slope_root: np.ndarray,
+    noise_root: np.ndarray,
+    observed: np.ndarray | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Root of a covariance given a measurement, in the array form of Kaminski, Bryson, Schmidt.
 
-    The triangle of (H L, R½; L, 0) is (S½, 0; G, L'): nothing is subtracted from a variance.
+    The triangle of (H L, R½; L, 0) is (S½, 0; G, L'): nothing is subtracted from a variance. A
+    component that is missing, or that those before it determine, is replaced by an independent
+    number of variance one, which changes nothing.
 
     Parameters
     ----------
@@ -45,8 +52,10 @@ def correct_root(
         L, where P = L Lᵀ.
     slope_root : ndarray, shape (m, n, *batch)
         H L.
-    noise_root : ndarray, shape (m, m, *batch)
+    noise_root : ndarray, shape (m, q, *batch)
         R½.
+    observed : ndarray of bool, shape (m, *batch), optional
+        Components that are not missing; all of them by default.
 
     Returns
     -------
@@ -56,16 +65,28 @@ def correct_root(
         G = P Hᵀ (S½)⁻ᵀ: the gain is G (S½)⁻¹.
     root : ndarray, shape (n, n, *batch)
         L', of P - G Gᵀ.
+    used : ndarray of bool, shape (m, *batch)
+        Components that are neither missing nor determined, up to 1e-13 of their deviation.
     """
-    n, m = len(root), len(noise_root)
-    depth = max(root.ndim, slope_root.ndim, noise_root.ndim) - 2
+    n, (m, q) = len(root), noise_root.shape[:2]
+    observed = np.ones(m, dtype=bool) if observed is None else observed
+    depth = max(root.ndim - 2, slope_root.ndim - 2, noise_root.ndim - 2, observed.ndim - 1)
     root, slope_root, noise_root = (align(M, 2, depth) for M in (root, slope_root, noise_root))
-    batch = np.broadcast_shapes(root.shape[2:], slope_root.shape[2:], noise_root.shape[2:])
-    rows = np.zeros((m + n, n + m, *batch))
-    # the noise last: its digits would be lost in those of a wide prior
-    rows[:m, :n], rows[:m, n:], rows[m:, :n] = slope_root, noise_root, root
-    lower = triangle(rows)
-    return lower[:m, :m], lower[m:, :m], lower[m:, m:]
+    used, identity = align(observed, 1, depth), align(np.eye(m), 2, depth)
+    shapes = root.shape[2:], slope_root.shape[2:], noise_root.shape[2:], used.shape[1:]
+    rows = np.zeros((m + n, n + q + m, *np.broadcast_shapes(*shapes)))
+    rows[m:, :n] = root
+    while True:
+        # the noise last: its digits would be lost in those of a wide prior
+        rows[:m, :n] = np.where(used[:, None], slope_root, 0.0)
+        rows[:m, n : n + q] = np.where(used[:, None], noise_root, 0.0)
+        rows[:m, n + q :] = np.where(used[:, None], 0.0, identity)
+        lower = triangle(rows)
+        S = lower[:m, :m]
+        determined = variances(S) <= RELATIVE * np.sqrt((S * S).sum(axis=1))
+        if not determined.any():
+            return S, lower[m:, :m], lower[m:, m:], used
+        used = used & ~(determined & (determined.cumsum(axis=0) == 1))  # the first of them
 
 
 def square(root: np.ndarray) -> np.ndarray:

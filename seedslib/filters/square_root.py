@@ -9,8 +9,8 @@ import numpy as np
 
 from seedslib.base.arrays import Seed, align, batch_shape, product
 from seedslib.base.circle import nearest
-from seedslib.base.conditioning import LEVEL, LOG_2PI, observed_in, without_missing
-from seedslib.base.linalg import RELATIVE, cholesky
+from seedslib.base.conditioning import LOG_2PI, observed_in
+from seedslib.base.linalg import cholesky, variances
 from seedslib.base.roots import correct_root, square, triangle
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter
@@ -43,7 +43,7 @@ class SquareRootKalmanFilter(Filter):
     and the correction are QR factorizations, which form no covariance and subtract none: small
     variances keep their digits beside large ones, and the covariance is always positive
     semidefinite (Kaminski, Bryson, Schmidt 1971, the square-root covariance filter). The diagonal
-    of the root is not negative, so that it is unique.
+    of the root is not negative, so that the root of a definite covariance is unique.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class SquareRootKalmanFilter(Filter):
         """See `Filter.update`, and `correct_root`.
 
         A component of y that the ones before it determine, up to rounding, is left out: the
-        likelihood is the density of the others, -inf where it is impossible.
+        likelihood is the density of the others.
         """
         expected, slope, noise = _expanded(self._sensor, state, p)
         depth = max(y.ndim, state.mean.ndim, expected.ndim) - 1
@@ -103,30 +103,24 @@ class SquareRootKalmanFilter(Filter):
         if not observed.any():
             return state._replace(loglik=np.zeros(batch))
         root, slope, noise = (align(part, 2, depth) for part in (state.root, slope, noise))
-        if not observed.all():
-            some = observed.reshape(len(y), -1).any(axis=1)
-            noise = without_missing(noise, observed)
-            y, expected, slope, observed = y[some], expected[some], slope[some], observed[some]
-            if not observed.all():
-                slope = np.where(observed[:, None], slope, 0.0)
-                cov_batch = batch_shape(cov_batch, observed.shape[1:])
-        innovation = np.zeros((len(y), *batch)) + np.where(observed, y - expected, 0.0)
-        S, gain, root = correct_root(root, product(slope, root, 2), cholesky(noise))
-        size = np.abs(y) + np.abs(expected) + np.abs(mean).max(axis=0)
-        loglik, left_out = np.zeros(batch), np.zeros_like(gain)
-        for j, row in enumerate(S):  # the innovation is S times independent numbers of variance one
-            pivot, deviation = row[j], np.sqrt((row * row).sum(axis=0))
-            regular = pivot > RELATIVE * deviation
-            one = innovation[j] / np.where(regular, pivot, np.inf)
-            impossible = ~regular & (np.abs(innovation[j]) > LEVEL * size[j])
-            density = -0.5 * (one * one + LOG_2PI) - np.log(np.where(regular, pivot, 1.0))
-            counts = np.where(regular, density, np.where(impossible, -np.inf, 0.0))
-            loglik = loglik + np.where(observed[j], counts, 0.0)
+        noise_root = cholesky(noise)
+        # a component that no run has is dropped: a root common to all runs stays common
+        some = observed.reshape(len(y), -1).any(axis=1)
+        slope, noise_root, observed = slope[some], noise_root[some], observed[some]
+        innovation = np.zeros((len(slope), *batch)) + (y - expected)[some]
+        if observed.all():
+            observed = observed.reshape(len(slope), -1)[:, 0]
+        else:
+            cov_batch = batch_shape(cov_batch, observed.shape[1:])
+        parts = root, product(slope, root, 2), noise_root, observed
+        S, gain, root, used = correct_root(*parts)
+        innovation, loglik = np.where(used, innovation, 0.0), np.zeros(batch)
+        for j, pivot in enumerate(variances(S)):  # it is S times independent numbers
+            one = innovation[j] / pivot
+            density = -0.5 * (one * one + LOG_2PI) - np.log(pivot)
+            loglik = loglik + np.where(used[j], density, 0.0)
             mean = mean + gain[:, j] * one
             innovation[j + 1 :] -= S[j + 1 :, j] * one
-            left_out[:, j] = np.where(regular, 0.0, gain[:, j])
-        if left_out.any():  # what they would have told of the state is not known
-            root = triangle(root, left_out)
         mean, root = mean.reshape(len(mean), *batch), root.reshape(*root.shape[:2], *cov_batch)
         return state._replace(mean=mean, root=root, loglik=loglik)
 
