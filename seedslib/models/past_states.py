@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,8 +15,11 @@ from seedslib.models.kinds import as_system
 from seedslib.models.linear import LinearSystem, Remade
 from seedslib.models.maps import Noise, StochasticMap
 
+InSteps = TypeVar("InSteps", LinearSystem, DiscreteSystem)
+"""The kind of the system, which stays."""
 
-def with_past_states(system: DiscreteSystem, lag: int) -> DiscreteSystem:
+
+def with_past_states(system: InSteps, lag: int) -> InSteps:
     """The same system whose state is that of now and of the last `lag` steps, newest first.
 
     Its sensor measures all of them, each with a noise of its own: the m components from ``j * m``
@@ -54,6 +57,7 @@ def with_past_states(system: DiscreteSystem, lag: int) -> DiscreteSystem:
     first = system.first or system  # formulas of parameters, or numbers
     size = copies * system.state_size
     mean0, cov0 = np.tile(first.mean0, copies), placed(np.zeros((size, size)), first.cov0)
+    larger: Any
     if isinstance(system, LinearSystem):
         larger = _linear(system, copies, mean0, cov0)
     elif system.dynamics.symbolic:
@@ -116,7 +120,7 @@ def placed(whole: np.ndarray, matrix: Any) -> np.ndarray:
     return larger
 
 
-def _linear(system: LinearSystem, copies: int, mean0: np.ndarray, cov0: np.ndarray) -> LinearSystem:
+def _linear(system: Any, copies: int, mean0: np.ndarray, cov0: np.ndarray) -> LinearSystem:
     n = system.state_size
     size, repeat = copies * n, np.eye(copies, dtype=int)
     corners = np.eye(size, k=-n), np.zeros((size, size)), np.zeros(size)
