@@ -48,12 +48,12 @@ def correct_root(
 
     Parameters
     ----------
-    root : ndarray, shape (n, n, *batch)
-        L, where P = L Lᵀ.
-    slope_root : ndarray, shape (m, n, *batch)
+    root : ndarray, shape (n, k, *batch)
+        L, where P = L Lᵀ; triangular or not.
+    slope_root : ndarray, shape (m, k, *batch)
         H L.
     noise_root : ndarray, shape (m, q, *batch)
-        R½.
+        R½, triangular or not.
     observed : ndarray of bool, shape (m, *batch), optional
         Components that are not missing; all of them by default.
 
@@ -68,19 +68,19 @@ def correct_root(
     used : ndarray of bool, shape (m, *batch)
         Components that are neither missing nor determined, up to 1e-13 of their deviation.
     """
-    n, (m, q) = len(root), noise_root.shape[:2]
+    (n, k), (m, q) = root.shape[:2], noise_root.shape[:2]
     observed = np.ones(m, dtype=bool) if observed is None else observed
     depth = max(root.ndim - 2, slope_root.ndim - 2, noise_root.ndim - 2, observed.ndim - 1)
     root, slope_root, noise_root = (align(M, 2, depth) for M in (root, slope_root, noise_root))
     used, identity = align(observed, 1, depth), align(np.eye(m), 2, depth)
     shapes = root.shape[2:], slope_root.shape[2:], noise_root.shape[2:], used.shape[1:]
-    rows = np.zeros((m + n, n + q + m, *np.broadcast_shapes(*shapes)))
-    rows[m:, :n] = root
+    rows = np.zeros((m + n, k + q + m, *np.broadcast_shapes(*shapes)))
+    rows[m:, :k] = root
     while True:
         # the noise last: its digits would be lost in those of a wide prior
-        rows[:m, :n] = np.where(used[:, None], slope_root, 0.0)
-        rows[:m, n : n + q] = np.where(used[:, None], noise_root, 0.0)
-        rows[:m, n + q :] = np.where(used[:, None], 0.0, identity)
+        rows[:m, :k] = np.where(used[:, None], slope_root, 0.0)
+        rows[:m, k : k + q] = np.where(used[:, None], noise_root, 0.0)
+        rows[:m, k + q :] = np.where(used[:, None], 0.0, identity)
         lower = triangle(rows)
         S = lower[:m, :m]
         determined = variances(S) <= RELATIVE * np.sqrt((S * S).sum(axis=1))
