@@ -105,16 +105,18 @@ class PointRule(Linearization):
         Raises
         ------
         ValueError
-            A rule with negative weights of squares, a map with a weight.
+            A rule whose weights of squares are negative or do not give the covariance of the
+            state, a map with a weight.
         """
         refuse_weight(map)
         given = _conditional(map)
         noise = map.noise if given is None else None
         size = map.state_size + (0 if noise is None else noise.size)
-        if (_rule(self, size)[2] < 0).any():
+        unit, _, centred = _rule(self, size)
+        if (centred < 0).any() or not np.allclose((unit * centred) @ unit.T, np.eye(size)):
             raise ValueError(
-                f"linearization: wanted weights that are not negative, got {self!r} of {size} "
-                "numbers; Cubature has such weights"
+                "linearization: wanted weights that are not negative and give the covariance, got "
+                f"those of {self!r} for {size} numbers; see Cubature"
             )
 
         def f(t: float, mean: np.ndarray, root: np.ndarray, p: Values = ()) -> tuple[Any, ...]:

@@ -1,5 +1,7 @@
 """The square-root form: the ordinary one where that has digits, and right where it has none."""
 
+import pickle
+
 import mpmath
 import numpy as np
 import pytest
@@ -11,12 +13,14 @@ from seedslib.base import Parameter
 from seedslib.evaluation import fit
 from seedslib.export import compiled, to_c
 from seedslib.filters import (
+    CovarianceFilter,
     KalmanFilter,
     SquareRootKalmanFilter,
     extended_kalman,
     forecast_measurements,
     smooth,
 )
+from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Unscented
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
 from systems import (
     EVEN,
@@ -100,6 +104,34 @@ def test_filter_of_a_curved_system_is_the_extended_kalman_filter():
         state = filter.step(state, k, data[k, :, 0])
     np.testing.assert_allclose(state.mean, wanted.mean[-1, :, 0], atol=1e-12)
     np.testing.assert_allclose(filter.forecast(state, 12).mean, extended_ahead(system, data))
+
+
+@pytest.mark.parametrize("rule", [Cubature(), GaussHermite(4), Unscented(kappa=0.5)])
+@pytest.mark.parametrize("form", ["formulas", "arrays"])
+def test_filter_with_points_is_the_ordinary_one(rule, form):
+    """Of array functions the points are laid in the space of the state and the noise."""
+    system = turning()
+    if form == "arrays":
+        maps = (
+            StochasticMap.from_functions(2, size, value, Noise(1), period=period)
+            for size, value, period in ((2, moved, None), (1, shown, {0: 2 * np.pi}))
+        )
+        system = DiscreteSystem(*maps, [-1.0, 0.1], 0.1 * np.eye(2))
+    data = turning().simulate(range(8), paths=4, seed=2).measurements
+    data[3, 0, 2], data[5] = np.nan, np.nan
+    filter = pickle.loads(pickle.dumps(SquareRootKalmanFilter(system, rule)))
+    found, wanted = (made.run(range(8), data) for made in (filter, CovarianceFilter(system, rule)))
+    assert_same(found, wanted, 1e-10)
+
+
+def moved(t, state, noise):
+    (x, y), (v,) = state, noise
+    shifts = 0.3 * np.sin(y) + 0.1 * v, 0.2 * x**2 - 0.1 * y + (0.2 + x**2 / 10) * v
+    return np.stack([x + shifts[0], y + shifts[1]])
+
+
+def shown(t, state, noise):
+    return np.arctan2(state[1], state[0])[None] + noise / 5
 
 
 def extended_ahead(system, data):
@@ -254,6 +286,10 @@ FILTER = SquareRootKalmanFilter(WALK)
          "system: .*first state"),
         (lambda: SquareRootKalmanFilter(DiscreteSystem(ARRAYS, ARRAYS, 0, 1)), ValueError,
          "Taylor: "),
+        (lambda: SquareRootKalmanFilter(WALK, Unscented(kappa=-0.5)), ValueError,
+         "linearization: .*negative"),
+        (lambda: SquareRootKalmanFilter(WALK, GaussHermite(1)), ValueError, "linearization: "),
+        (lambda: SquareRootKalmanFilter(WALK, ExactGaussian()), TypeError, "linearization: "),
         (lambda: compiled(FILTER), TypeError, "filter: .*SquareRootKalmanFilter"),
         (lambda: to_c(FILTER, "f"), TypeError, "filter: .*SquareRootKalmanFilter"),
         (lambda: smooth(FILTER, range(2), np.zeros((2, 1))), TypeError, "filter: .*SquareRoot"),
