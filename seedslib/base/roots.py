@@ -76,7 +76,7 @@ def correct_root(
     shapes = root.shape[2:], slope_root.shape[2:], noise_root.shape[2:], used.shape[1:]
     rows = np.zeros((m + n, k + q + m, *np.broadcast_shapes(*shapes)))
     rows[m:, :k] = root
-    while True:
+    for _ in range(m + 1):
         # the noise last: its digits would be lost in those of a wide prior
         rows[:m, :k] = np.where(used[:, None], slope_root, 0.0)
         rows[:m, k : k + q] = np.where(used[:, None], noise_root, 0.0)
@@ -85,8 +85,9 @@ def correct_root(
         S = lower[:m, :m]
         determined = variances(S) <= RELATIVE * np.sqrt((S * S).sum(axis=1))
         if not determined.any():
-            return S, lower[m:, :m], lower[m:, m:], used
+            break
         used = used & ~(determined & (determined.cumsum(axis=0) == 1))  # the first of them
+    return S, lower[m:, :m], lower[m:, m:], used
 
 
 def square(root: np.ndarray) -> np.ndarray:
