@@ -156,7 +156,7 @@ def _maps(system: DiscreteSystem, copies: int) -> list[StochasticMap]:
             [*dynamics.expressions, *state[:-n]],
             dynamics.noise,
             time=dynamics.time,
-            period={j * n + k: P for j in range(copies) for k, P in dynamics.period},
+            period=dict(dynamics.period),
         ),
         StochasticMap(
             state,

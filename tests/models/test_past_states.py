@@ -9,7 +9,14 @@ import sympy as sp
 
 from oracles.linear import Regression
 from seedslib.base import ELAPSED, Parameter
-from seedslib.filters import KalmanFilter, extended_kalman, smooth, unscented_kalman
+from seedslib.filters import (
+    CovarianceFilter,
+    KalmanFilter,
+    extended_kalman,
+    smooth,
+    unscented_kalman,
+)
+from seedslib.linearization import GaussHermite
 from seedslib.models import (
     DiscreteSystem,
     LinearSystem,
@@ -159,12 +166,12 @@ def test_estimates_of_past_states_are_those_of_the_smoother_with_fixed_lag():
 def test_unknown_first_components_and_numbers_of_parameters_stay():
     plain = LinearSystem([[1, 1], [0, a]], np.eye(2), [[1, 0]], 1, [0, 0], [[0, 0], [0, a]],
                          diffuse=[0])  # fmt: skip
-    plain = plain.bind(a=0.7)
     y, none = np.array([[1.0], [2.5], [2.0], [4.0]]), np.zeros(4, int)
-    found = KalmanFilter(with_past_states(plain, 2)).run(range(4), by_arrival(y, none, 2))
-    wanted = KalmanFilter(plain).run(range(4), y)
-    np.testing.assert_allclose(found.mean[:, :2], wanted.mean, atol=1e-12)
-    np.testing.assert_allclose(found.loglik, wanted.loglik, atol=1e-12)
+    wanted = KalmanFilter(plain.bind(a=0.7)).run(range(4), y)
+    for late in (with_past_states(plain.bind(a=0.7), 2), with_past_states(plain, 2).bind(a=0.7)):
+        found = KalmanFilter(late).run(range(4), by_arrival(y, none, 2))
+        np.testing.assert_allclose(found.mean[:, :2], wanted.mean, atol=1e-12)
+        np.testing.assert_allclose(found.loglik, wanted.loglik, atol=1e-12)
 
 
 def curved(scale=1.0):
@@ -185,6 +192,25 @@ def test_without_delays_a_curved_system_has_the_filter_that_it_had():
     np.testing.assert_allclose(found.mean[:, :2], wanted.mean, atol=1e-12)
     np.testing.assert_allclose(found.cov[:, :2, :2], wanted.cov, atol=1e-12)
     np.testing.assert_allclose(found.loglik, wanted.loglik, atol=1e-12)
+
+
+def test_names_of_the_time_angles_and_means_of_noises_stay():
+    """A product rule has the same points for the state of now, whatever else there is."""
+    s = sp.Symbol("s", real=True)
+    angle = x + y + 0.1 * s
+    moves = [sp.atan2(sp.sin(angle), sp.cos(angle)), 0.9 * y + v]
+    noises = Noise((v,), 0.2, [[0.1]]), Noise((w,), 0.5, [[0.3]])
+    dynamics = StochasticMap([x, y], moves, noises[0], time=s, period={0: 2 * sp.pi})
+    shown = StochasticMap([x, y], [x + w], noises[1], period={0: 2 * sp.pi})
+    plain = DiscreteSystem(dynamics, shown, [2.5, 0.5], 0.2 * np.eye(2))
+    run = plain.simulate(range(8), paths=3, seed=2).measurements
+    arrived = by_arrival(run, np.zeros((8, 3), int), 1)
+    found, wanted = (
+        CovarianceFilter(system, GaussHermite(3)).run(range(8), data)
+        for system, data in ((with_past_states(plain, 1), arrived), (plain, run))
+    )
+    np.testing.assert_allclose(found.mean[:, :2], wanted.mean, atol=1e-10)
+    np.testing.assert_allclose(found.loglik, wanted.loglik, atol=1e-10)
 
 
 def test_a_late_measurement_of_a_curved_system_is_worth_what_it_is_in_order_to_first_order():
