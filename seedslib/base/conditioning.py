@@ -26,6 +26,7 @@ from seedslib.base.linalg import (
     variances,
     whole_is_quicker,
 )
+from seedslib.base.roots import correct_root, square
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -112,11 +113,8 @@ def update(
         cov = None if cov is None else align(cov, 2, depth)
 
     y = nearest(y, expected, periods)
-    innovation, missing, observed = y - expected, 0, np.isfinite(y)
+    innovation, missing, observed = y - expected, 0, observed_in(y)
     if not observed.all():
-        if np.isinf(y).any():
-            where = tuple(int(i) for i in np.argwhere(np.isinf(y))[0])
-            raise ValueError(f"y: wanted finite numbers or NaN, got {y[where]} at index {where}")
         # a component that no item has is dropped: a covariance common to all items stays common
         some = observed.reshape(len(y), -1).any(axis=1)
         y, expected, innovation, cross = y[some], expected[some], innovation[some], cross[:, some]
@@ -199,6 +197,21 @@ def gaussian_logpdf(
     return update(np.empty(0), None, y, moments, periods=periods)[2]
 
 
+def observed_in(y: np.ndarray) -> np.ndarray:
+    """Where a measurement (m, *batch) has a number: NaN is missing.
+
+    Raises
+    ------
+    ValueError
+        An infinite one.
+    """
+    observed = np.isfinite(y)
+    if not observed.all() and np.isinf(y).any():
+        where = tuple(int(i) for i in np.argwhere(np.isinf(y))[0])
+        raise ValueError(f"y: wanted finite numbers or NaN, got {y[where]} at index {where}")
+    return observed
+
+
 def _components(array: np.ndarray, depth: int) -> list:
     """Components of a vector or a matrix with `depth` batch axes.
 
@@ -265,10 +278,8 @@ def _update_by_roots(
 ) -> None:
     """Write corrected covariances of priors that are so wide that P - C S⁻¹ Cᵀ has no digits.
 
-    There the noise R is rounded off in S, and is needed apart. With P = L Lᵀ and C = L Gᵀ the
-    triangle of (R½, G; 0, L) has a root of the corrected covariance in its corner (the array form
-    of the update): nothing is subtracted from a variance. Where cov y is more than slope and noise,
-    it is left as it is.
+    There the noise R is rounded off in S, and is needed apart: with P = L Lᵀ and C = L Gᵀ the root
+    is corrected by `correct_root`. Where cov y is more than slope and noise, it is left as it is.
     """
     batch = new_cov.shape[2:]
     narrow = np.broadcast_to(narrow, batch)
@@ -276,7 +287,6 @@ def _update_by_roots(
         np.broadcast_to(part, part.shape[:2] + batch)[..., narrow]
         for part in (cov, cross, innovation_cov, noise)
     )
-    n, m = cross.shape[:2]
     root, slope = cholesky(cov), np.zeros_like(cross)
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
         for j, row in enumerate(root):  # L Gᵀ = C, a row of zeros where L has one
@@ -286,10 +296,8 @@ def _update_by_roots(
         unit = np.sqrt(variances(innovation_cov))
         exact = (np.abs(rest) <= UNEXPLAINED * unit[:, None] * unit[None, :]).all(axis=(0, 1))
     exact &= ~(noise == 0.0).all(axis=(0, 1)) & np.isfinite(root).all(axis=(0, 1))
-    rows = np.zeros((m + n, m + n, np.count_nonzero(exact)))
-    rows[:m, :m], rows[:m, m:] = cholesky(noise)[..., exact], np.swapaxes(slope, 0, 1)[..., exact]
-    rows[m:, m:] = root[..., exact]
-    corner = np.linalg.qr(rows.transpose(2, 1, 0), mode="r")[:, m:, m:]
+    parts = root, np.swapaxes(slope, 0, 1), cholesky(noise)
+    _, _, root, _ = correct_root(*(part[..., exact] for part in parts))
     narrow = narrow.copy()
     narrow[narrow] = exact
-    new_cov[:, :, narrow] = np.einsum("bki,bkj->ijb", corner, corner)
+    new_cov[:, :, narrow] = square(root)

@@ -27,5 +27,6 @@ if TYPE_CHECKING:
     from seedslib.filters.particle import ParticleFilter as ParticleFilter
     from seedslib.filters.rao_blackwell import RaoBlackwellFilter as RaoBlackwellFilter
     from seedslib.filters.smoothing import smooth as smooth
+    from seedslib.filters.square_root import SquareRootKalmanFilter as SquareRootKalmanFilter
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -6,7 +6,7 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -59,8 +59,11 @@ class PointRule(Linearization):
 
     def _points(self, mean: np.ndarray, cov: np.ndarray, noise: Noise | None = None) -> Points:
         """Points of the state, and of a noise where one is given."""
-        root, n = cholesky(cov), len(mean)
-        depth = max(mean.ndim - 1, root.ndim - 2)
+        return self._along(mean, cholesky(cov), noise)
+
+    def _along(self, mean: np.ndarray, root: np.ndarray, noise: Noise | None = None) -> Points:
+        """The same along the columns of a root of the covariance."""
+        n, depth = len(mean), max(mean.ndim - 1, root.ndim - 2)
         mean, root = align(mean, 1, depth), align(root, 2, depth)
         unit, weights, centred = _rule(self, n if noise is None else n + noise.size)
         x, v = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n]), None
@@ -77,12 +80,7 @@ class PointRule(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov, noise)
-            y = given.mean(t, points.x, p) if given else map.value(t, points.x, points.v, p)
-            # about one of the values, so that equal ones are exactly their mean
-            start = y[:, :1]
-            y = nearest(y, start, map.period)
-            h = start[:, 0] + np.einsum("is...,s->i...", y - start, points.weights)
-            deviations = y - h[:, None]
+            h, deviations = _averaged(map, given, t, points, p)
             cross = points.cross(deviations)
             if not spread:
                 return Moments(h, cross, None)
@@ -91,6 +89,46 @@ class PointRule(Linearization):
                 noise_cov = given.cov(t, points.x, p)
                 square = square + np.einsum("ijs...,s->ij...", noise_cov, points.weights)
             return Moments(h, cross, square)
+
+        return f
+
+    def roots(self, map: StochasticMap) -> Callable[..., tuple[np.ndarray, ...]]:
+        """Moments without a square: those of a state given by a root of its covariance.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, root, p) -> (E y, X, Y, noise)`` with X Xᵀ = cov x, X Yᵀ = cov(x, y) and
+            Y Yᵀ + noise = cov y, shapes (m, *batch), (n, S, *batch), (m, S, *batch) and
+            (m, m, *batch).
+
+        Raises
+        ------
+        ValueError
+            A rule whose weights of squares are negative or do not give the covariance of the
+            state, a map with a weight.
+        """
+        refuse_weight(map)
+        given = _conditional(map)
+        noise = map.noise if given is None else None
+        size = map.state_size + (0 if noise is None else noise.size)
+        unit, _, centred = _rule(self, size)
+        if (centred < 0).any() or not np.allclose((unit * centred) @ unit.T, np.eye(size)):
+            raise ValueError(
+                "linearization: wanted weights that are not negative and give the covariance, got "
+                f"those of {self!r} for {size} numbers; see Cubature"
+            )
+
+        def f(t: float, mean: np.ndarray, root: np.ndarray, p: Values = ()) -> tuple[Any, ...]:
+            points = self._along(np.asarray(mean, dtype=float), root, noise)
+            h, deviations = _averaged(map, given, t, points, p)
+            scale = np.sqrt(points.centred)
+            X = np.einsum("ij...,js,s->is...", points.root, points.unit, scale)
+            Y = np.einsum("is...,s->is...", deviations, scale)
+            if given is None:
+                return h, X, Y, np.zeros((map.size, map.size))
+            noise_cov = given.cov(t, points.x, p)
+            return h, X, Y, np.einsum("ijs...,s->ij...", noise_cov, points.weights)
 
         return f
 
@@ -138,6 +176,18 @@ class PointRule(Linearization):
             return result
 
         return f
+
+
+def _averaged(
+    map: StochasticMap, given: Conditional | None, t: float, points: Points, p: Values
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (m, *batch) of the values of a map at points, and what they deviate from it by."""
+    y = given.mean(t, points.x, p) if given else map.value(t, points.x, points.v, p)
+    # about one of the values, so that equal ones are exactly their mean
+    start = y[:, :1]
+    y = nearest(y, start, map.period)
+    h = start[:, 0] + np.einsum("is...,s->i...", y - start, points.weights)
+    return h, y - h[:, None]
 
 
 def _kind(map: StochasticMap, conditional: bool) -> object:

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from seedslib.models.linear import van_loan as van_loan
     from seedslib.models.maps import Noise as Noise
     from seedslib.models.maps import StochasticMap as StochasticMap
+    from seedslib.models.past_states import by_arrival as by_arrival
+    from seedslib.models.past_states import with_past_states as with_past_states
     from seedslib.models.structural import Structural as Structural
     from seedslib.models.structural import level as level
     from seedslib.models.structural import regression as regression

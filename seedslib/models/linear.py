@@ -45,19 +45,19 @@ class LinearMap(StochasticMap):
     Parameters
     ----------
     slope, cov, offset : ndarray, Entries, OfTime or SteppedMatrix
-        A, S and b, shapes (m, n), (m, m) and (m,).
+        A, S and b, shapes (m, n), (m, m) and (m,); the attribute `matrices` has all three.
     shape : (int, int)
         m and n.
     """
 
     def __init__(self, slope: Matrix, cov: Matrix, offset: Matrix, shape: tuple[int, int]) -> None:
         m, n = shape
-        self._matrices = slope, cov, offset
+        self.matrices = slope, cov, offset
         entries = getattr(offset, "expressions", offset)
         if not all(isinstance(M, np.ndarray) for M in (slope, cov, entries)):
             self.state = self.time = self.expressions = self.weight_expression = None
             self.state_size, self.size, self.noise, self.period = n, m, Noise(m), ()
-            varying = [M for M in self._matrices if not isinstance(M, np.ndarray)]
+            varying = [M for M in self.matrices if not isinstance(M, np.ndarray)]
             self.parameters = in_order(p for M in varying for p in M.mentions)
             self._functions = Functions(None, None, None, None, None, self.parameters)
             return
@@ -74,21 +74,21 @@ class LinearMap(StochasticMap):
     @property
     def formulas(self) -> tuple[Any, ...] | None:
         """A, S and b as numbers or expressions in t; None without such."""
-        parts = tuple(getattr(M, "expressions", M) for M in self._matrices)
+        parts = tuple(getattr(M, "expressions", M) for M in self.matrices)
         return parts if all(isinstance(part, np.ndarray) for part in parts) else None
 
     @cached_property
     def _at(self) -> list[Any]:
         """A, S and b as functions (t, p), or as they are where they are constant."""
         return [
-            M if isinstance(M, np.ndarray) else M.compiled(self.parameters) for M in self._matrices
+            M if isinstance(M, np.ndarray) else M.compiled(self.parameters) for M in self.matrices
         ]
 
     @cached_property
     def _last(self) -> list[Any]:
         """Of A, S and b the places in p that they depend on, the last numbers, and the values."""
         places = [
-            [self.parameters.index(p) for p in getattr(M, "mentions", ())] for M in self._matrices
+            [self.parameters.index(p) for p in getattr(M, "mentions", ())] for M in self.matrices
         ]
         return [(part, (), None) for part in places]
 
@@ -97,7 +97,7 @@ class LinearMap(StochasticMap):
         """See `StochasticMap.timeless`."""
         return all(
             isinstance(M, np.ndarray) or (isinstance(M, Entries) and not M.timed)
-            for M in self._matrices
+            for M in self.matrices
         )
 
     def _matrix(self, k: int, t: float, p: Values, shape: tuple[int, ...]) -> np.ndarray:
@@ -105,7 +105,7 @@ class LinearMap(StochasticMap):
         if not callable(matrix):
             return matrix
         places, known, value = self._last[k]
-        given = (*(p[i] for i in places), t if getattr(self._matrices[k], "timed", True) else None)
+        given = (*(p[i] for i in places), t if getattr(self.matrices[k], "timed", True) else None)
         if len(given) == len(known) and all(map(_same, given, known)):
             return value
         name = ("slope", "cov", "offset")[k]
@@ -311,7 +311,7 @@ def _same(one: Any, two: Any) -> bool:
 
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
-    if isinstance(matrix, SteppedMatrix):
+    if isinstance(matrix, SteppedMatrix | Remade):
         return matrix
     if callable(matrix):
         return OfTime(matrix)
@@ -463,6 +463,32 @@ class SteppedMatrix:
             return np.einsum("ij...,j...->i...", align(value, 2, depth), align(b, 1, depth))
 
         return matrix
+
+
+class Remade:
+    """What a function makes of a matrix that changes with the time or the length of a step.
+
+    Parameters
+    ----------
+    matrix : OfTime or SteppedMatrix
+    make : callable
+        Of an array.
+    """
+
+    def __init__(self, matrix: Any, make: Callable[[Any], np.ndarray]) -> None:
+        self.matrix, self.make = matrix, make
+        self.mentions: tuple[Any, ...] = matrix.mentions
+
+    @classmethod
+    def of(cls, matrix: Any, make: Callable[[Any], np.ndarray]) -> Any:
+        """The same of any matrix: one of numbers or of expressions is made at once."""
+        entries = getattr(matrix, "expressions", matrix)
+        return make(entries) if isinstance(entries, np.ndarray) else cls(matrix, make)
+
+    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
+        """The matrix as a function (t, p)."""
+        matrix, make = self.matrix.compiled(parameters), self.make
+        return lambda t, p: make(matrix(t, p))
 
 
 def _compiled(matrix: Any, parameters: tuple[Any, ...]) -> Callable[..., Any]:
