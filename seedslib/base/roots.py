@@ -11,8 +11,7 @@ from seedslib.base.linalg import RELATIVE, variances
 def triangle(*blocks: np.ndarray) -> np.ndarray:
     """Lower triangular L with L Lᵀ = A Aᵀ and no negative number on its diagonal.
 
-    By Householder reflections of Aᵀ: A Aᵀ is not formed. Small columns of A keep their digits
-    beside large ones where they come last.
+    By Householder reflections of Aᵀ: A Aᵀ is not formed.
 
     Parameters
     ----------
@@ -42,7 +41,7 @@ def correct_root(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Root of a covariance given a measurement, in the array form of Kaminski, Bryson, Schmidt.
 
-    The triangle of (H L, R½; L, 0) is (S½, 0; G, L'): nothing is subtracted from a variance. A
+    The triangle of (R½, H L; 0, L) is (S½, 0; G, L'): nothing is subtracted from a variance. A
     component that is missing, or that those before it determine, is replaced by an independent
     number of variance one, which changes nothing.
 
@@ -75,12 +74,11 @@ def correct_root(
     used, identity = align(observed, 1, depth), align(np.eye(m), 2, depth)
     shapes = root.shape[2:], slope_root.shape[2:], noise_root.shape[2:], used.shape[1:]
     rows = np.zeros((m + n, k + q + m, *np.broadcast_shapes(*shapes)))
-    rows[m:, :k] = root
+    rows[m:, m + q :] = root
     for _ in range(m + 1):
-        # the noise last: its digits would be lost in those of a wide prior
-        rows[:m, :k] = np.where(used[:, None], slope_root, 0.0)
-        rows[:m, k : k + q] = np.where(used[:, None], noise_root, 0.0)
-        rows[:m, k + q :] = np.where(used[:, None], 0.0, identity)
+        rows[:m, :m] = np.where(used[:, None], 0.0, identity)
+        rows[:m, m : m + q] = np.where(used[:, None], noise_root, 0.0)
+        rows[:m, m + q :] = np.where(used[:, None], slope_root, 0.0)
         lower = triangle(rows)
         S = lower[:m, :m]
         determined = variances(S) <= RELATIVE * np.sqrt((S * S).sum(axis=1))
