@@ -142,6 +142,19 @@ def extended_ahead(system, data):
     return filter.forecast(state, 12).mean
 
 
+def test_a_noise_that_grows_with_state_and_time_is_that_of_the_step():
+    t = sp.Symbol("t")
+    noisy = StochasticMap((x,), [x + (1 + t) * sp.sqrt(1 + x**2) * v], Noise((v,)), time=t)
+    moved = StochasticMap((x,), [sp.sin(x) + (2 + t) * x * w], Noise((w,), cov=[[0.1]]), time=t)
+    system = DiscreteSystem(moved, noisy, [0.3], [[0.5]])
+    data = system.simulate(range(6), paths=3, seed=8).measurements
+    found, wanted = (
+        make(system, Cubature()).run(range(6), data)
+        for make in (SquareRootKalmanFilter, CovarianceFilter)
+    )
+    assert_same(found, wanted)
+
+
 def test_components_that_others_determine_are_left_out():
     """One sensor twice, with one noise and with none; a sensor of nothing in between."""
     H, R = [[1, 2], [0, 0], [1, 2], [0, 1]], np.zeros((4, 4))
