@@ -23,6 +23,9 @@ Result = TypeVar("Result")
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
 
+FILTERS = 0x46494C54
+"""Key of the filters' own streams among the children of a block's: no block of paths has it."""
+
 BLOCKS = 16
 """Most blocks in a bundle: with more, threads gain nothing further and memory grows."""
 

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.blocks import child, in_blocks
+from seedslib.base.blocks import FILTERS, child, in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import Clock
@@ -33,9 +33,6 @@ RATIOS = "nees_ratio", "nis_ratio", "average_coverage"
 
 BLOCK = 2048
 """Paths in a block of an evaluation: the trajectories of all filters on them are in memory."""
-
-FILTERS = 0x46494C54
-"""Key of the filters' own streams among the children of a block's: no block of paths has it."""
 
 
 def evaluate(

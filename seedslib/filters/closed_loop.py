@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
+from seedslib.base.blocks import FILTERS, in_blocks
 from seedslib.base.blocks import child as descendant
-from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_real, brief
 from seedslib.base.clock import when
 from seedslib.base.values import as_trajectory
@@ -22,9 +22,6 @@ if TYPE_CHECKING:
     from seedslib.base.symbols import Input
 
 KINDS = "JumpDiffusion", "DiscreteSystem", "LinearSystem"
-
-FILTER = 0x46494C54
-"""Key of the stream of a filter that draws, among the children of a block's."""
 
 Policy: TypeAlias = "Callable[[float, Estimates], Mapping[Input, ArrayLike]]"
 
@@ -131,7 +128,7 @@ def simulate_closed_loop(
             each.bind(part.of(own).constant)
             for each, part in zip((system, filter), numbers, strict=True)
         )
-        state = observer.initial((stop - start,), descendant(stream, FILTER))
+        state = observer.initial((stop - start,), descendant(stream, FILTERS))
         x, u, reports = None, nothing, []
         for k, child in enumerate(stream.spawn(count)):
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
